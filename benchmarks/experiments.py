@@ -26,10 +26,10 @@ from scipy.stats import beta
 
 import rcorefine as rco
 from rcorefine.diagnosis.confirm import confirm
-from rcorefine.diagnosis.experiment_design.result import ExperimentOption
-from rcorefine.diagnosis.experiment_design.sensors import sensor_rows, with_sensor
+from rcorefine.diagnosis.experiments import ExperimentOption
 from rcorefine.diagnosis.refits import Fitter
-from rcorefine.diagnosis.screening import Metric, Numbers, Screen
+from rcorefine.diagnosis.screening import Metric, Screen
+from rcorefine.diagnosis.separation import sensor_rows, with_sensor
 from rcorefine.inference.fitted import fitted_from
 from rcorefine.inference.sensitivities import candidate_columns
 from rcorefine.inference.starts import Motion
@@ -85,7 +85,7 @@ def leads(model: object, records: list[rco.Measurement], effects: list[rco.Effec
     fitter, metric = Fitter(fitted, motion), Metric(fitted.problem.whitener(fitted.residuals()))
     values = {}
     for candidate in candidate_columns(fitted, effects, motion, (0.0,)):
-        screen = Screen(fitted, [candidate], Numbers([], np.zeros(0)), metric, motion)
+        screen = Screen(fitted, [candidate], {}, metric, motion)
         starts = [screen.start([group], False, fitted) for group in screen.groups]
         trial = fitter.single((candidate.effect, starts))
         if trial is not None:

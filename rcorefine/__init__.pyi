@@ -5,13 +5,11 @@ from .comparison import Comparison, black_box, compare
 from .data.frequency_response import FrequencyResponse
 from .data.measurement import Measurement
 from .diagnosis import Diagnosis, diagnose
-from .diagnosis.checks.check import check
-from .diagnosis.checks.result import Check
-from .diagnosis.checks.row import CheckRow
-from .diagnosis.confirm import confirm
-from .diagnosis.confirmation import Confirmation
+from .diagnosis.check import check
+from .diagnosis.check_rows import Check, CheckRow
+from .diagnosis.confirm import Confirmation, confirm
 from .diagnosis.improve import improve
-from .diagnosis.improvement import Improvement
+from .diagnosis.result import Improvement
 from .effects.effect import Effect
 from .effects.given import Table
 from .engine.amplitude_response import AmplitudeResponse, frequency_response_at

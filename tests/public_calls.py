@@ -964,7 +964,7 @@ CALLS: dict[str, Call] = {
             "costs": is_mapping,
             "largest_input": is_numbers,
         },
-        work="rcorefine.diagnosis.experiment_design.suggest._contenders",
+        work="rcorefine.diagnosis.experiments._contenders",
     ),
     "ExperimentAdvice.sentences": Call(_method(advice, "sentences"), dict),
     "ExperimentAdvice.plot": _plot(advice),

@@ -12,7 +12,7 @@ from hidden.wider import wider_record
 
 import rcorefine as rco
 from rcorefine.commands.cli import main
-from rcorefine.diagnosis.checks.row import warned
+from rcorefine.diagnosis.check_rows import warned
 
 DT, N = 0.02, 2000
 MODEL = ct.ss([[0, 1], [-40, -2]], [[0], [40]], [[1, 0]], [[0]], inputs=["u"], outputs=["y"])
@@ -47,21 +47,29 @@ def test_clean_records_pass(name, how, seed):
 
 
 @pytest.mark.parametrize(
-    ("factor", "words"),
+    ("factor", "what", "status", "words"),
     [
-        (60 / (2 * np.pi), "rpm where the model has rad/s"),
-        (2 * np.pi / 60, "rad/s where the model has rpm"),
-        (180 / np.pi, "degrees where the model has radians"),
-        (9.80665, "m/s^2 where the model has g"),
-        (1 / 25.4, "inches where the model has millimeters"),
-        (1e-3, "units where the model has thousandths"),
+        (60 / (2 * np.pi), "units", "stop", "rpm where the model has rad/s"),
+        (2 * np.pi / 60, "units", "stop", "rad/s where the model has rpm"),
+        (180 / np.pi, "units", "stop", "degrees where the model has radians"),
+        (9.80665, "units", "stop", "m/s^2 where the model has g"),
+        (1 / 25.4, "units", "stop", "inches where the model has millimeters"),
+        (1e-3, "units", "stop", "units where the model has thousandths"),
+        (1.13 * 180 / np.pi, "units", "look", "degrees"),  # beside parameters that are off
+        (-1e3, "sign", "stop", "thousandths"),
+        (1.3, "gain", "look", "a wrong gain or parameter value"),
     ],
 )
-def test_units(factor, words):
+def test_size(factor, what, status, words):
     w = drive()
-    row = look(w, factor * noisy(w))["units"]
-    assert row.status == "stop"
+    row = look(w, factor * noisy(w))[what]
+    assert row.status == status
     assert words in row.sentence
+
+
+def test_a_small_change_of_the_gain_is_none():
+    w = drive()
+    assert "gain" not in look(w, 1.01 * noisy(w))
 
 
 ROTOR = ct.ss([[-2]], [[30]], [[1]], [[0]], inputs=["u"], outputs=["speed"])
@@ -134,29 +142,11 @@ def test_the_header_of_a_file_tells_its_unit(tmp_path):
     assert (data.output_units, data.input_units) == (("rpm",), ("N m",))
 
 
-def test_sign_with_units():
-    w = drive()
-    found = look(w, -1e3 * noisy(w))
-    assert found["sign"].status == "stop"
-    assert "thousandths" in found["sign"].sentence
-
-
-def test_units_beside_parameters_that_are_off():
-    w = drive()
-    assert "degrees" in look(w, 1.13 * 180 / np.pi * noisy(w))["units"].sentence
-
-
 def test_a_converter_and_fast_transients_are_no_spikes():
     w = np.repeat(np.random.default_rng(8).standard_normal(N // 200), 200)
     y = outputs(w)
     wrong = ct.ss([[0, 1], [-44, -2]], [[0], [40]], [[1, 0]], [[0]])
     assert "spikes" not in look(w, np.round(y / 0.002) * 0.002, wrong)
-
-
-def test_a_gain_of_no_unit_is_a_look():
-    w = drive()
-    assert look(w, 1.3 * noisy(w))["gain"].status == "look"
-    assert "gain" not in look(w, 1.01 * noisy(w))
 
 
 def test_delay_and_lead():
@@ -174,11 +164,8 @@ def test_a_level_that_the_model_does_not_explain():
     assert abs(value - 1.25 * y.std()) < 4 * error
     assert error == pytest.approx(0.02 * y.std() / np.sqrt(N), rel=0.25)
     assert "level" not in look(w, y)
-    stands = rco.check(
-        MODEL,
-        rco.Measurement(w + 2.0, noisy(w + 2.0), dt=DT, input_labels="u", output_labels="y"),
-        information=False,
-    )
+    data = rco.Measurement(w + 2.0, noisy(w + 2.0), dt=DT, input_labels="u", output_labels="y")
+    stands = rco.check(MODEL, data, information=False)
     (level,) = [row for row in stands.rows if row.what == "level"]
     assert (level.status, level.figure) == ("ok", "by the model")
 

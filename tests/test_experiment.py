@@ -17,9 +17,8 @@ from scipy.optimize import least_squares
 from scipy.signal import StateSpace, lfilter, ss2tf
 
 import rcorefine as rco
-from rcorefine.diagnosis.experiment_design.planning import in_band
-from rcorefine.diagnosis.experiment_design.sensors import sensor_rows, with_sensor
-from rcorefine.diagnosis.experiment_design.separation import Contender, Plan, separation
+from rcorefine.diagnosis.experiments import in_band
+from rcorefine.diagnosis.separation import Contender, Plan, sensor_rows, separation, with_sensor
 from rcorefine.inference.whitening import Whitener
 
 DT, N, NOISE = 0.02, 800, 0.02

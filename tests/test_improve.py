@@ -10,8 +10,8 @@ import pytest
 from hidden.generator import Law, held_motion
 
 import rcorefine as rco
+from rcorefine.diagnosis.case import excerpt
 from rcorefine.diagnosis.improve import improve
-from rcorefine.diagnosis.parts import excerpt
 
 DT = 0.01
 

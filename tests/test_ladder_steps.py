@@ -13,7 +13,7 @@ from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
 from rcorefine.diagnosis.hypothesis import Hypothesis, Trial
-from rcorefine.diagnosis.ranking import undetermined
+from rcorefine.diagnosis.verdict import undetermined
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.levels import levels
 from rcorefine.words import with_error

@@ -6,7 +6,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 import rcorefine as rco
-from rcorefine.diagnosis.words import next_step
+from rcorefine.diagnosis.result import next_step
 from tests.public_calls import EFFECT, diagnosis, improvement, model, nameless, record, small_record
 
 
@@ -28,9 +28,7 @@ def of_points():
 GRAVITY = [rco.Effect("gravity", "link1")]
 CASES = {
     "adequate": lambda: rco.diagnose(model(), record(), candidates=[EFFECT]),
-    "parameters": lambda: rco.diagnose(
-        model(), small_record(1, 20.0), candidates=[rco.Effect("gravity", "link1")]
-    ),
+    "parameters": lambda: rco.diagnose(model(), small_record(1, 20.0), candidates=GRAVITY),
     "effect": diagnosis,
     "ambiguous": ambiguous,
     "unexplained": nameless,

@@ -167,9 +167,8 @@ def skidding(front: float, steer: np.ndarray, slip: float) -> np.ndarray:
         angles = np.array([w - (x[0] + AHEAD * x[1]) / SPEED, -(x[0] - BEHIND * x[1]) / SPEED])
         F = np.array([front, REAR]) * angles / np.sqrt(1 + (angles / slip) ** 2)
         side = F.sum() / MASS
-        return np.array([side - SPEED * x[1], (AHEAD * F[0] - BEHIND * F[1]) / INERTIA]), np.array(
-            [side, x[1]]
-        )
+        turn = (AHEAD * F[0] - BEHIND * F[1]) / INERTIA
+        return np.array([side - SPEED * x[1], turn]), np.array([side, x[1]])
 
     x, seen, h = np.zeros(2), [], 0.005
     for w in steer:
@@ -182,26 +181,27 @@ def skidding(front: float, steer: np.ndarray, slip: float) -> np.ndarray:
     return np.array(seen).T
 
 
+def steps(seed: int) -> tuple[np.random.Generator, np.ndarray]:
+    """Steer in steps, and the generator that goes on."""
+    rng = np.random.default_rng(seed)
+    return rng, 0.03 * np.repeat(rng.standard_normal(30), 30)
+
+
 def test_numbers_in_every_matrix() -> None:
     """The front tires of a car, softer than the model has them, stand in A, B, C and D."""
-    rng = np.random.default_rng(1)
-    steer = 0.03 * np.repeat(rng.standard_normal(30), 30)
+    rng, steer = steps(1)
     found = diagnosed(steer, driven(np.full(900, 60e3), steer), rng, 0.03)
     assert found.verdict == "parameters"
     better = found.refine()
     assert better.fit == pytest.approx(97.0, abs=0.5)  # noise of 3 %
     for row in better.parameters:
-        if row.name in (
-            "B[1,0]",
-            "D[0,0]",
-        ):  # whatever the unit of the speed to the side
+        if row.name in ("B[1,0]", "D[0,0]"):  # whatever the unit of the speed to the side
             assert abs(row.value / row.initial - 0.75) < 4 * row.std / abs(row.initial)
 
 
 def test_numbers_that_leave_color_are_told_with_what_they_leave() -> None:
     """Tires that soften and harden through the record: no test tells that from noise with a memory."""
-    rng = np.random.default_rng(2)
-    steer = 0.03 * np.repeat(rng.standard_normal(30), 30)
+    rng, steer = steps(2)
     fronts = 60e3 * (1 + 0.2 * np.sin(2 * np.pi * np.arange(900) / 300))
     found = diagnosed(steer, driven(fronts, steer), rng, 0.02)
     said = str(found).replace("\n", " ")
@@ -212,13 +212,11 @@ def test_numbers_that_leave_color_are_told_with_what_they_leave() -> None:
 
 def test_numbers_that_do_not_suffice_are_told_before_laws_that_do_less() -> None:
     """Tires that are softer, and saturate besides: a law of the slip angle, which is at no place."""
-    rng = np.random.default_rng(1)
-    steer = 0.03 * np.repeat(rng.standard_normal(30), 30)
+    rng, steer = steps(1)
     found = diagnosed(steer, skidding(60e3, steer, 0.1), rng, 0.01)
     assert found.verdict == "unexplained"
     assert found.base.fit.min() > 85 > 60 > found.base.initial_fit.max()
     assert "The parameters alone increase the fit from" in str(found).replace("\n", " ")
     assert found.open_law is None
-    assert (
-        found.place is None or found.places[found.place] <= 0.5
-    )  # the slip of a tire is at none of the places that it could name
+    # the slip of a tire is at none of the places that it could name
+    assert found.place is None or found.places[found.place] <= 0.5

@@ -12,10 +12,10 @@ from scipy.signal import cont2discrete, dlsim
 from scipy.stats import binom, chi2, norm
 
 import rcorefine as rco
-from rcorefine.diagnosis.absorbed import determined, numbers_that_moved
 from rcorefine.diagnosis.case import Case
 from rcorefine.diagnosis.nuisances import with_fitting_priors
 from rcorefine.diagnosis.search import Search
+from rcorefine.diagnosis.words import determined, numbers_that_moved
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.refinement import EstimatedParameter
@@ -102,7 +102,7 @@ def test_numbers_beyond_their_prior_are_found_and_not_pulled_back(factors: dict[
 
 def asked(base: rco.Refinement, data: rco.Measurement) -> Search:
     options = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
-    return Search(Case.prepare(base, [data], None, options, 0.01, Progress()))
+    return Search(Case(base, [data], None, options, 0.01, Progress()))
 
 
 @pytest.mark.parametrize("damping", [-1e3, -1e6])

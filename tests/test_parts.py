@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine.diagnosis.parts import split_in_parts
+from rcorefine.diagnosis.case import split_in_parts
 
 
 def record(n: int) -> rco.Measurement:

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.linalg import expm
 
 import rcorefine as rco
-from rcorefine.diagnosis.places import in_race
+from rcorefine.diagnosis.residual_tests import in_race
 from rcorefine.inference.fitted import fitted_from
 
 

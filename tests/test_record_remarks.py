@@ -8,7 +8,7 @@ from scipy.signal import butter, cont2discrete, lfilter
 
 import rcorefine as rco
 from rcorefine.diagnosis.case import no_motion
-from rcorefine.diagnosis.checks.check import signal_rows
+from rcorefine.diagnosis.check_rows import signal_rows
 
 FINE = 16  # points per sample
 

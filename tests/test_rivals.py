@@ -58,8 +58,8 @@ def test_the_order_holds_beside_a_fixed_coefficient():
 @pytest.mark.parametrize("seed", [21, 24])
 def test_refine_of_a_diagnosis_ends_no_lower_than_the_ranking(seed):
     hidden = servo_record(seed, samples=1500)
-    offered = [rco.Effect(kind, "angle") for kind in ("asymmetric_friction", "damping", "input_gain")]
-    offered[2] = rco.Effect("input_gain", "voltage")
+    offered = [rco.Effect(kind, "angle") for kind in ("asymmetric_friction", "damping")]
+    offered.append(rco.Effect("input_gain", "voltage"))
     found = rco.diagnose(hidden.plant.model, hidden.data, candidates=offered)
     assert np.mean(found.refine().fit) >= found.best.fit_after - 1e-6
 
@@ -108,15 +108,8 @@ def test_a_sensor_in_other_units_is_named(seed):
     Ad, Bd, *_ = cont2discrete((A, B, C, np.zeros((1, 1))), 0.01)
     y = 1000 * dlsim((Ad, Bd, C, np.zeros((1, 1)), 0.01), w)[1][:, 0]
     y += 0.02 * y.std() * rng.standard_normal(y.size)
-    offered = [
-        rco.Effect(*name)
-        for name in (
-            ("output_gain", "y"),
-            ("input_gain", "current"),
-            ("damping", "position"),
-            ("input_lag", "current"),
-        )
-    ]
+    places = {"output_gain": "y", "input_gain": "current", "damping": "position", "input_lag": "current"}
+    offered = [rco.Effect(kind, place) for kind, place in places.items()]
     found = rco.diagnose(motor, rco.Measurement(w, y, dt=0.01), candidates=offered)
     assert {e.kind for e in found.ambiguous} == {"output_gain", "input_gain"}  # one thing, the motor linear
     for row in found.ranking[:2]:

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import rcorefine as rco
-from rcorefine.diagnosis.colored_noise import spectral_line
+from rcorefine.diagnosis.noise import spectral_line
 
 DT = 0.02
 

@@ -23,13 +23,11 @@ from ..comparison.adequacy import best_of, failures_of
 from ..comparison.compare import compare
 from ..data import files
 from ..data.measurement import Measurement
-from ..diagnosis.checks.check import check
-from ..diagnosis.checks.result import Check
+from ..diagnosis.check import check
+from ..diagnosis.check_rows import Check
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.improve import improve
-from ..diagnosis.improvement import Improvement
-from ..diagnosis.result import Diagnosis
-from ..diagnosis.words import next_step
+from ..diagnosis.result import Diagnosis, Improvement, next_step
 from ..effects.effect import Effect
 from ..exceptions import DataError, ModelError
 from ..models.library import effect_library

@@ -15,7 +15,7 @@ from ..comparison import Comparison, compare
 from ..data.measurement import Measurement
 from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.improve import improve
-from ..diagnosis.improvement import Improvement
+from ..diagnosis.result import Improvement
 from ..effects.effect import Effect
 from ..exercises.record import hidden_outputs, noisy, record_of
 from ..jit import NUMBA

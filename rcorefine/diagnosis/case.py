@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import control as ct
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..data.measurement import Measurement
 from ..data.records import at_rest
-from ..data.response_record import ResponseRecord, in_frequency, noise_is_known
+from ..data.response_record import ResponseRecord, in_frequency, noise_is_known, some_lines
 from ..effects.effect import Effect
 from ..effects.law import KINDS
 from ..engine.line_balance import remembering
@@ -21,26 +21,41 @@ from ..exceptions import DataError, ModelError
 from ..inference.doubts import explains_nothing
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel, fitted_from
-from ..inference.levels import Levels, levels
+from ..inference.levels import levels
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
-from ..inference.windows import windows
+from ..inference.windows import spread_lines, windows
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 from ..progress import Progress
 from .residual_tests import passes
 
-__all__ = ["SHORTEST", "Case", "candidates_of", "no_motion", "not_excited", "not_held", "seen_in"]
+__all__ = [
+    "Case",
+    "Parts",
+    "candidates_of",
+    "common_horizon",
+    "excerpt",
+    "no_motion",
+    "not_excited",
+    "not_held",
+    "seen_in",
+    "split_in_parts",
+]
 
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
 _SOLVED = 1e-7  # of a response: its balance of harmonics is solved to 1e-8, which grows near a resonance
 SHORTEST, _FEWEST = 200, 60  # samples of a record, and values of a frequency response, that can be tested
 
 
-@dataclass(eq=False)
 class Case:
     """A fitted model that is asked what it lacks.
+
+    Parameters
+    ----------
+    asked : sequence of Effect or None
+        Candidates; None for the library.
 
     Attributes
     ----------
@@ -62,40 +77,28 @@ class Case:
         Candidates that the model does not hold.
     levels : Levels
         Of the decisions.
+
+    Raises
+    ------
+    DataError
+        If a record is too short to test.
+    ControlArgument
+        If no candidate is left that the model does not hold.
     """
 
-    base: Refinement
-    records: tuple[Measurement, ...]
-    settings: dict[str, Any]
-    significance: float
-    progress: Progress
-    ordered: list[Measurement]
-    fitted: FittedModel
-    motions: list[Any]
-    library: list[Effect]
-    levels: Levels = field(default_factory=levels)
-
-    @classmethod
-    def prepare(
-        cls,
+    def __init__(
+        self,
         base: Refinement,
         records: Sequence[Measurement],
         asked: Sequence[Effect] | None,
         settings: dict[str, Any],
         significance: float,
         progress: Progress,
-    ) -> Case:
-        """A case from a model that was fitted to the records already.
-
-        Raises
-        ------
-        DataError
-            If a record is too short to test.
-        ControlArgument
-            If no candidate is left that the model does not hold.
-        """
+    ) -> None:
+        self.base, self.records, self.settings = base, tuple(records), settings
+        self.significance, self.progress, self.levels = significance, progress, levels()
         physical = base.physical_model
-        ordered = [ordered_record(physical, r) for r in records]
+        self.ordered = ordered = [ordered_record(physical, r) for r in records]
         least = _FEWEST if in_frequency(ordered) else SHORTEST
         for record in ordered:
             if record.n_samples < least:
@@ -105,26 +108,22 @@ class Case:
                 )
         segments, _ = windows(physical, ordered, settings["horizon"])
         fitted = fitted_from(base, segments, tolerance=settings["tolerance"], noise=settings["noise"])
-        motions = [estimated_motion(fitted.structure, fitted.theta, record) for record in segments]
+        self.fitted = fitted
+        self.motions = [estimated_motion(fitted.structure, fitted.theta, record) for record in segments]
         if len(records) > 1:
-            motions[0].companions = motions[1:]
+            self.motions[0].companions = self.motions[1:]
         library = candidates_of(physical) if asked is None else asked
         library = seen_in(physical, library, ordered, asked is not None)
-        library = not_held(library, base.effects)
-        if not library:
+        self.library = not_held(library, base.effects)
+        if not self.library:
             raise ct.ControlArgument("no candidate is left that the model does not hold already; give others")
-        given = (tuple(records), settings, significance, progress)
-        return cls(base, *given, ordered, fitted, motions, library)
 
     @property
     def about(self) -> dict[str, Any]:
-        """Return the fields that every diagnosis of this case holds."""
-        return {
-            "base": self.base,
-            "records": self.records,
-            "significance": self.significance,
-            "settings": self.settings,
-        }
+        """Return the fields of a diagnosis without tests and ranking."""
+        nothing = dict.fromkeys(("ranking", "ambiguous", "tests", "winner_tests", "detectable"), ())
+        own = {name: getattr(self, name) for name in ("base", "records", "significance", "settings")}
+        return {"force_ratio": 0.0, **nothing, **own}
 
     @property
     def in_time(self) -> bool:
@@ -272,9 +271,9 @@ def no_motion(records: Sequence[Measurement]) -> str:
     still = []
     for i, label in enumerate(labels):
         y = np.concatenate([record.outputs[i] for record in records])
-        moving = np.abs(np.diff(y)) > 1e-9 * max(float(np.abs(y).max()), 1e-300)
-        levels = np.unique(np.round(y / (1e-9 * max(float(np.abs(y).max()), 1e-300)))).size
-        if not moving.any() or (levels <= _FEW_LEVELS and moving.mean() < 0.05):
+        least = 1e-9 * max(float(np.abs(y).max()), 1e-300)
+        moving = np.abs(np.diff(y)) > least
+        if not moving.any() or (np.unique(np.round(y / least)).size <= _FEW_LEVELS and moving.mean() < 0.05):
             still.append(label)
     if len(still) < len(labels):
         return ""
@@ -309,3 +308,196 @@ def not_excited(base: Refinement, records: Sequence[Measurement]) -> str:
         f"Cannot tell: nothing was excited. {', '.join(records[0].input_labels)} is constant, and the "
         "outputs show no free motion of the model. Give a record in which the inputs move."
     )
+
+
+_TURNS = {"fit": (0, 2, 3), "choose": (1,), "judge": (4,), "learn": (0, 1, 2, 3)}  # of five in turn
+_BY_RECORD = 5  # least number of records that are split as wholes
+_FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges
+_LEAST = 30  # samples of a part that chooses or judges
+_FEWEST_POINTS = 50  # points of a response that can be split
+_DEAD = 8.0  # standard deviations of the noise below which nothing moves
+_EXCERPT, _PIECES = 8000, 4  # samples of a long record on which effects are sought
+_SHORTEST_PIECE, _MOST_RECORDS = 1000, 16  # samples of such a piece, records that it is made of
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Parts of the records for a stepwise improvement.
+
+    Attributes
+    ----------
+    fit : list of Measurement
+        To fit on; an excerpt where the records are long.
+    choose : list of Measurement
+        To choose on.
+    judge : list of Measurement
+        What takes part in nothing.
+    learn : list of Measurement
+        All that does not judge.
+    remarks : tuple of str
+        What was left out, and why.
+    whole : bool
+        Whether the first part is all of it, and no excerpt.
+    """
+
+    fit: list[Measurement]
+    choose: list[Measurement]
+    judge: list[Measurement]
+    learn: list[Measurement]
+    remarks: tuple[str, ...] = ()
+    whole: bool = True
+
+
+def common_horizon(
+    physical: PhysicalModel, records: Sequence[Any], horizon: float | None
+) -> tuple[float | None, list[str]]:
+    """Return the length of the free runs of all parts, and what is said of it.
+
+    Parameters
+    ----------
+    physical : PhysicalModel
+        Model.
+    records : sequence of Measurement
+        Whole records, channels in the order of the model.
+    horizon : float or None
+        What was asked for.
+
+    Returns
+    -------
+    horizon : float or None
+        Of the windows of the whole record where the model integrates: a part would choose shorter ones.
+    notes : list of str
+    """
+    pieces, note = windows(physical, list(records), horizon)
+    if horizon is not None or len(pieces) == len(records):
+        return horizon, []
+    return max(piece.n_samples * piece.dt for piece in pieces), [note]
+
+
+def split_in_parts(records: Sequence[Measurement], validation: Measurement | None) -> Parts:
+    """Return the records in parts for the fit, the choice and validation.
+
+    Each record is split in time. Five records or more are split as wholes, since the ends of many records
+    are alike: settled steps, or decays that have died out. Of five in turn, three are for the fit, one is
+    for the choice and one is for validation.
+
+    Parameters
+    ----------
+    records : sequence of Measurement
+        Records of the same system.
+    validation : Measurement or None
+        Record that judges; the last fifth of each for None.
+
+    Returns
+    -------
+    Parts
+
+    Raises
+    ------
+    DataError
+        If a record is too short.
+    """
+    if in_frequency(records):
+        return _lines_in_parts(records, validation)
+    # a single record with a constant input shows a gain where it has settled
+    kept = [moving(record) for record in records] if at_rest(records) else list(records)
+    remarks = tuple(
+        f"The motion of record {given.name!r} has died at {record.timepts[-1]:.4g} s: the rest of it is left "
+        "out."
+        for record, given in zip(kept, records, strict=True)
+        if record is not given
+    )
+    many = len(kept) >= _BY_RECORD and min(record.n_samples for record in kept) >= SHORTEST
+    parts = _in_turn(kept, validation is not None) if many else _in_time(kept, validation is not None)
+    fit = parts["fit"]
+    climbed, whole = excerpt(fit), sum(record.n_samples for record in fit)
+    if climbed is not fit:
+        remarks += (
+            f"The record is long: effects were sought on {len(climbed)} pieces spread over it "
+            f"({sum(record.n_samples for record in climbed)} of {whole} samples); the last model was fitted "
+            "once more on all that does not judge.",
+        )
+    judge = parts["judge"] if validation is None else [validation]
+    return Parts(climbed, parts["choose"], judge, parts["learn"], remarks, climbed is fit)
+
+
+def _in_time(records: Sequence[Measurement], validated: bool) -> dict[str, list[Measurement]]:
+    """Return each record in parts, in the order of time."""
+    parts: dict[str, list[Measurement]] = {name: [] for name in _TURNS}
+    least = SHORTEST + _LEAST + (0 if validated else _LEAST)
+    for record in records:
+        if record.n_samples < least:
+            another = "" if validated else ", or another record as validation="
+            raise DataError(
+                f"record {record.name!r} of {record.n_samples} samples is too short: {SHORTEST} are needed "
+                f"to fit, {_LEAST} to choose by, {_LEAST} to judge by; give at least {least}{another}"
+            )
+        both = record
+        if not validated:
+            both, last = record.split(max(_FIT + _CHOOSE, 0.5 + 0.5 * SHORTEST / record.n_samples))
+            parts["judge"].append(last)
+        first, second = both.split(max(_FIT / (_FIT + _CHOOSE), SHORTEST / both.n_samples))
+        for name, part in (("fit", first), ("choose", second), ("learn", both)):
+            parts[name].append(part)
+    return parts
+
+
+def _in_turn(items: Sequence[Any], validated: bool) -> dict[str, list[Any]]:
+    """Return three of five records or frequencies, the next, and the last."""
+    turns = _TURNS | ({"fit": (0, 2, 3, 4), "judge": (), "learn": tuple(range(5))} if validated else {})
+    return {name: [item for k, item in enumerate(items) if k % 5 in which] for name, which in turns.items()}
+
+
+def moving(record: Measurement) -> Measurement:
+    """Return a free decay up to where its motion has died out.
+
+    A part without motion decides nothing. Motion counts as long as an output still moves by `_DEAD` standard
+    deviations of its noise (of second differences) within a fiftieth of the record.
+    """
+    if record.n_samples < SHORTEST:
+        return record
+    y, length = record.outputs, max(record.n_samples // 50, 4)
+    noise = np.median(np.abs(np.diff(y, 2, axis=1)), axis=1) / (0.6745 * np.sqrt(6.0))
+    pieces = np.array_split(np.arange(record.n_samples), record.n_samples // length)
+    alive = [bool((np.ptp(y[:, piece], axis=1) > _DEAD * noise).any()) for piece in pieces]
+    last = int(pieces[max(np.flatnonzero(alive), default=-1)][-1]) + 1
+    return record if last == record.n_samples else record._part(slice(0, last))
+
+
+def _lines_in_parts(responses: Sequence[Any], validation: Any) -> Parts:
+    """Return responses in three parts, each over the whole band."""
+    parts: dict[str, list[Any]] = {name: [] for name in _TURNS}
+    for response in responses:
+        size = response.omega.size
+        if size < _FEWEST_POINTS:
+            raise DataError(
+                f"a response of {size} frequencies is too short to be split in three; give {_FEWEST_POINTS}"
+            )
+        for name, which in _in_turn(range(size), validation is not None).items():
+            parts[name].append(some_lines(response, np.array(which, dtype=int)))
+    judge = parts["judge"] if validation is None else [validation]
+    fit = spread_lines(parts["fit"])
+    spread = ("Effects were sought on some of the frequencies, spread evenly.",)
+    whole = fit is parts["fit"]
+    return Parts(fit, parts["choose"], judge, parts["learn"], () if whole else spread, whole)
+
+
+def excerpt(records: list[Measurement]) -> list[Measurement]:
+    """Return pieces of records that are too long for the improvement.
+
+    Shorter records are returned as they are.
+    """
+    if sum(record.n_samples for record in records) <= _EXCERPT:
+        return records
+    spread = np.unique(np.linspace(0, len(records) - 1, min(len(records), _MOST_RECORDS)).astype(int))
+    each = _EXCERPT // spread.size
+    pieces = []
+    for record in (records[int(i)] for i in spread):
+        count = min(_PIECES, max(1, each // _SHORTEST_PIECE))
+        length = each // count
+        if record.n_samples <= each:
+            pieces.append(record)
+            continue
+        for start in np.linspace(0, record.n_samples - length, count).astype(int):
+            pieces.append(record._part(slice(int(start), int(start) + length)))
+    return pieces

@@ -6,8 +6,8 @@ They are best taken at another amplitude.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Unpack
 
 import control as ct
 import numpy as np
@@ -33,13 +33,14 @@ from ..inference.starts import Motion
 from ..inference.windows import windows
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record
+from ..results import Options, Result, Row, picture, show
 from ..systems.linear import Array
 from ..words import chance
 from .beside import Beside
-from .confirmation import Confirmation, RecordEstimate
-from .residual_tests import TestedResidual, run_tests
+from .case import not_held
+from .residual_tests import TestedResidual, overall, run_tests
 
-__all__ = ["confirm"]
+__all__ = ["Confirmation", "confirm"]
 
 _FINER = 5  # refinements of the substep at most
 _ROUNDS = 3  # descents, each under the whitening of the one before
@@ -126,53 +127,53 @@ def confirm(
     records = as_records(data)
     if len(records) < 2:
         raise ct.ControlArgument("data holds one record; give the one that taught the effects and another")
-    linear = model.physical_model.linear
     ordered = [ordered_record(model.physical_model, r) for r in records]
     for record in ordered:
-        check_channels(linear, record)
+        check_channels(model.physical_model.linear, record)
     own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]
     if not own:
         raise ct.ControlArgument("the model holds no effect that was asked for, so nothing can be confirmed")
-    conditions = _conditions(model, records, {} if scales_with is None else scales_with)
-    factors = _factors(model, own, conditions, len(records))
-    estimates = _estimates(
-        model, records, ordered, own, _others(model, candidates), (tolerance, noise), force_ratio, factors
-    )
-    further = estimates[1:]
-    p_value = min(1.0, len(further) * min(min(e.agreement, e.residual) for e in further))
-    names = tuple(model.parameters[i].name for i in own)
-    labels = [f"{row.kind} at {row.place}" for row in (model.parameters[i] for i in own)]
+    conditions, factors = _conditions(model, own, records, scales_with)
+    library = effect_library(model.physical_model) if candidates is None else candidates
+    rest = not_held(as_effects(library, "candidates"), model.effects)
+    sizes = [amplitude(record) or 1.0 for record in ordered]
+    several = len({record.name for record in records}) > 1
+    fits, estimates = list[tuple[Array, Array]](), list[RecordEstimate]()
+    for i, record in enumerate(ordered):
+        ratio, f = force_ratio * sizes[0] / sizes[i], factors[i]
+        fitted, whole = _alone(model, record, tolerance, noise, ratio)
+        theta, C = fitted.theta[own], whole[np.ix_(own, own)]
+        fits.append((theta, C))
+        agreement = wald(theta - f * fits[0][0], f[:, None] * fits[0][1] * f + C) if i else 1.0
+        tests = tuple(_tested(fitted, rest, ratio))
+        name = records[i].name if several else f"record {i + 1}"
+        figures = (theta, standard_deviations(C), agreement, tests, overall(tests), f)
+        estimates.append(RecordEstimate(name, sizes[i] / sizes[0], *figures))
+    p_value = min(1.0, len(estimates[1:]) * min(min(e.agreement, e.residual) for e in estimates[1:]))
+    rows = [model.parameters[i] for i in own]
+    names, units = tuple(row.name for row in rows), tuple(row.unit for row in rows)
     verdict = "confirmed" if p_value >= significance else "refuted"
-    units = tuple(model.parameters[i].unit for i in own)
-    message = _message(verdict, list(dict.fromkeys(labels)), estimates, p_value, significance, scales_with)
+    labels = list(dict.fromkeys(f"{row.kind} at {row.place}" for row in rows))
+    message = _message(verdict, labels, estimates, p_value, significance, scales_with)
     return Confirmation(verdict, p_value, names, units, tuple(estimates), significance, message, conditions)
 
 
-def _others(model: Refinement, candidates: Sequence[Effect] | None) -> list[Effect]:
-    """Effects besides the model's own that a residual is tested for."""
-    if candidates is None:
-        library = effect_library(model.physical_model)
-    else:
-        library = as_effects(candidates, "candidates")
-    held = {(effect.kind, effect.place) for effect in model.effects}
-    return [effect for effect in library if (effect.kind, effect.place) not in held]
-
-
 def _conditions(
-    model: Refinement, records: Sequence[Measurement], asked: Mapping[str, Any]
-) -> dict[str, tuple[float, ...]]:
-    """Return the condition of each effect in each record.
+    model: Refinement, own: Sequence[int], records: Sequence[Measurement], asked: Mapping[str, Any] | None
+) -> tuple[dict[str, tuple[float, ...]], Array]:
+    """Return the conditions, and the factors that follow from them.
 
-    Only effects that change with a condition are included.
+    Conditions are those of each effect that changes with one, in each record. Factors are those of each
+    coefficient (columns) in each record (rows), relative to the first one.
     """
-    held = {
-        f"{e.kind}@{e.place}" for e, role in zip(model.effects, model.roles, strict=True) if role == "effect"
-    }
-    found = {}
+    structure = model.simulation_structure()[0]
+    parameters = [structure.parameters[i] for i in own]
+    keys = [f"{e.kind}@{e.place}" for e in (structure.effects[q.effect] for q in parameters)]
+    found, factors = {}, np.ones((len(records), len(own)))
     for key, given in as_mapping(asked, "scales_with", "conditions").items():
-        if key not in held:
+        if key not in keys:
             raise ct.ControlArgument(
-                f"scales_with names {key!r}; the effects of the model are {', '.join(sorted(held))}"
+                f"scales_with names {key!r}; the effects of the model are {', '.join(sorted(set(keys)))}"
             )
         if isinstance(given, str):
             values = np.array([_mean_of(record, given) for record in records])
@@ -184,7 +185,10 @@ def _conditions(
                 "nonzero and of one sign in all records"
             )
         found[key] = tuple(map(float, values))
-    return found
+        for k, q in enumerate(parameters):
+            if keys[k] == key and q.name not in structure.effects[q.effect].spec.shaping:
+                factors[:, k] = values / values[0]
+    return found, factors
 
 
 def _mean_of(record: Measurement, label: str) -> float:
@@ -197,74 +201,20 @@ def _mean_of(record: Measurement, label: str) -> float:
     return float(np.concatenate([record.inputs, record.outputs])[labels.index(label)].mean())
 
 
-def _factors(
-    model: Refinement, own: Sequence[int], conditions: Mapping[str, Sequence[float]], count: int
-) -> Array:
-    """Return the factor of each coefficient in each record.
-
-    It is relative to the first record. Rows are records, columns are coefficients.
-    """
-    factors = np.ones((count, len(own)))
-    structure = model.simulation_structure()[0]
-    for k, i in enumerate(own):
-        parameter = structure.parameters[i]
-        effect = structure.effects[parameter.effect]
-        values = conditions.get(f"{effect.kind}@{effect.place}")
-        if values is not None and parameter.name not in effect.spec.shaping:
-            factors[:, k] = np.array(values) / values[0]
-    return factors
-
-
-def _estimates(
-    model: Refinement,
-    records: Sequence[Measurement],
-    ordered: Sequence[Measurement],
-    own: Sequence[int],
-    rest: Sequence[Effect],
-    options: tuple[float, Any],
-    force_ratio: float,
-    factors: Array,
-) -> list[RecordEstimate]:
-    """The model on each record alone, against the first one."""
-    levels = [amplitude(record) or 1.0 for record in ordered]
-    ratios = [force_ratio * levels[0] / level for level in levels]
-    alone = [_alone(model, record, *options, ratio) for record, ratio in zip(ordered, ratios, strict=True)]
-    block = np.ix_(own, own)
-    estimates = []
-    for i, (fitted, C) in enumerate(alone):
-        tests = _tested(fitted, rest, ratios[i])
-        valid = [t.p_value for t in tests if t.dof]
-        agreement = 1.0
-        if i:
-            f = factors[i]
-            difference = fitted.theta[own] - f * alone[0][0].theta[own]
-            agreement = wald(difference, f[:, None] * alone[0][1][block] * f + C[block])
-        name = records[i].name if len({r.name for r in records}) > 1 else f"record {i + 1}"
-        residual = min(1.0, min(valid, default=1.0) * len(valid))
-        estimates.append(
-            RecordEstimate(
-                name, levels[i] / levels[0], fitted.theta[own], standard_deviations(C)[own], agreement,
-                tuple(tests), residual, factors[i],
-            )
-        )  # fmt: skip
-    return estimates
-
-
 def _message(
     verdict: str,
     labels: list[str],
     estimates: Sequence[RecordEstimate],
     p_value: float,
     level: float,
-    scaled: Mapping[str, Any] | None = None,
+    scaled: Mapping[str, Any] | None,
 ) -> str:
     first, *further = estimates
-    scaled = {
-        key: value if isinstance(value, str) else "the condition" for key, value in (scaled or {}).items()
+    ways = {
+        key.replace("@", " at ", 1): f" in proportion to {by if isinstance(by, str) else 'the condition'}"
+        for key, by in (scaled or {}).items()
     }
-    keys = [label.replace(" at ", "@", 1) for label in labels]
-    ways = [f" in proportion to {scaled[key]}" if key in scaled else "" for key in keys]
-    what = " with ".join(label + way for label, way in zip(labels, ways, strict=True))
+    what = " with ".join(label + ways.get(label, "") for label in labels)
     if verdict == "confirmed":
         other = any(abs(np.log(e.level)) > 0.25 for e in further)
         caution = "" if other else " The amplitudes are similar, so a similar effect could pass, too."
@@ -287,7 +237,6 @@ def _alone(
     structure, theta, steps = model.simulation_structure()
     segments, _ = windows(model.physical_model, [record], None)
     mean, sd = priors(structure, model.roles, tolerance)
-
     weights = output_weights(segments, noise) if noise is not None else 1.0 / model.rmse
 
     def problem(pieces: Sequence[Measurement], steps: int, _unknown_start: bool = True) -> Problem:
@@ -327,3 +276,104 @@ def _tested(fitted: FittedModel, rest: Sequence[Effect], ratio: float) -> list[F
     # none of these: a law that only mimics leaves a force of its own behind
     free = [test for place in dict.fromkeys(places) for test in Beside(tested, place).tests()]
     return [*run_tests(tested, scored, motions), *free]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordEstimate(Row):
+    """The model fitted to one record alone.
+
+    Attributes
+    ----------
+    name : str
+        Name of the record.
+    level : float
+        Its amplitude over that of the first record: rms of the inputs, in free decays of the outputs.
+    coefficients, std : ndarray, shape (p,)
+        Of the effects.
+    agreement : float
+        p-value that they are those of the first record, 1 for the first itself.
+    tests : tuple of FTest
+        Tests of the residual.
+    residual : float
+        p-value of all of them together.
+    factors : ndarray, shape (p,)
+        Ratio of each coefficient to that of the first record if the law is the same; 1 without a condition.
+    """
+
+    name: str
+    level: float
+    coefficients: Array
+    std: Array
+    agreement: float
+    tests: tuple[FTest, ...]
+    residual: float
+    factors: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Confirmation(Result):
+    """Agreement of the effects and their coefficients over all records.
+
+    Attributes
+    ----------
+    verdict : str
+        "confirmed" or "refuted".
+    p_value : float
+        The smallest of agreement and residual over the further records, corrected for
+        their number.
+    names : tuple of str
+        Coefficients that were compared.
+    units : tuple of str
+        Their units.
+    estimates : tuple of RecordEstimate
+        One per record.
+    significance : float
+        Level.
+    message : str
+        The outcome in a sentence.
+    conditions : dict
+        For each effect that changes in proportion to a condition (``"kind@place"``) the condition in each
+        record.
+    """
+
+    verdict: str
+    p_value: float
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    estimates: tuple[RecordEstimate, ...]
+    significance: float
+    message: str
+    conditions: dict[str, tuple[float, ...]] = field(default_factory=dict)
+
+    def sentences(self) -> list[str]:
+        """Return the findings, one sentence each.
+
+        Returns
+        -------
+        list of str
+        """
+        return [
+            self.message,
+            "agreement: chance of such a difference from the first record if the law is the same; residual: "
+            "p-value of the tests on what the refitted model leaves; level: amplitude over that of "
+            "the first.",
+        ]
+
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
+        """Coefficients from each record alone, with their 95 % intervals.
+
+        Parameters
+        ----------
+        ax : Axes or array of Axes, optional
+            Where to draw, one per coefficient.
+        label : str, optional
+            Label of the estimates.
+        show_legend : bool, optional
+            Force the legend on or off; default: on where a label is given.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        return show(self, "plot", **options)

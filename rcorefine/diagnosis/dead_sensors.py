@@ -26,7 +26,7 @@ from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
-__all__ = ["Watched", "without_dead_sensors"]
+__all__ = ["without_dead_sensors"]
 
 _LONG = 0.05  # of the record, from which one value that repeats is a sensor that has stopped
 _NOISY = 0.01  # repeated samples elsewhere, up to which the sensor has noise that never repeats
@@ -79,7 +79,7 @@ class Watched:
         return [
             one
             for one in given
-            if not (isinstance(one, Effect) and "output" in one.spec.where and one.place in lost)
+            if not isinstance(one, Effect) or "output" not in one.spec.where or one.place not in lost
         ]
 
 
@@ -138,24 +138,33 @@ def _fault(model: PhysicalModel, data: Measurement, index: int) -> str:
     y = data.outputs[index]
     if np.ptp(y) == 0:
         return "it never changes"
-    first, end = runs(np.append(np.diff(y) == 0, False))
-    if first.size:
-        longest = int(np.argmax(end - first))
-        length = int(end[longest] - first[longest]) + 1
-        elsewhere = int(np.sum(end - first)) + 1 - length
-        value = y[first[longest]]
-        noisy = elsewhere < _NOISY * y.size and y.min() < value < y.max()
-        if noisy and length > max(_LONG * y.size, 20):
-            return (
-                f"from sample {first[longest]} on it repeats one value {length} times, to the last digit, "
-                "where its noise never did: the sensor has stopped"
-            )
+    stuck = _stuck(y)
+    if stuck:
+        return stuck
     if y.size > 5 * _LAGS and all(_unrelated(y, w) for w in data.inputs if np.ptp(w) > 0):
         moved = [row for i, row in enumerate(data.outputs) if i != index and np.ptp(row) > 0]
-        others = any(not _unrelated(row, w) for row in moved for w in data.inputs if np.ptp(w) > 0)
+        driving = [w for w in data.inputs if np.ptp(w) > 0]
+        others = any(not _unrelated(row, w) for row in moved for w in driving)
         if others and not _foreseen(model, data, index):
             return "it moves with none of the inputs, as noise alone does, and other outputs do"
     return ""
+
+
+def _stuck(y: Array) -> str:
+    """Return since when a noisy output repeats one value, or an empty string."""
+    first, end = runs(np.append(np.diff(y) == 0, False))
+    if not first.size:
+        return ""
+    longest = int(np.argmax(end - first))
+    length = int(end[longest] - first[longest]) + 1
+    elsewhere = int(np.sum(end - first)) + 1 - length
+    inside = y.min() < y[first[longest]] < y.max()
+    if not inside or elsewhere >= _NOISY * y.size or length <= max(_LONG * y.size, 20):
+        return ""
+    return (
+        f"from sample {first[longest]} on it repeats one value {length} times, to the last digit, "
+        "where its noise never did: the sensor has stopped"
+    )
 
 
 def _unrelated(y: Array, w: Array) -> bool:

@@ -31,21 +31,19 @@ from ..progress import Progress
 from ..refinement.refine import base_fit, refit
 from ..systems.linear import Array
 from ..words import chance, with_error
-from .absorbed import determined, numbers_that_moved, percent
 from .case import Case, no_motion, not_excited
-from .checks.check import looks
-from .colored_noise import is_drowned, left_to_noise
+from .check import looks
 from .dead_sensors import without_dead_sensors
 from .hypothesis import Trial
+from .noise import is_drowned, left_to_noise
 from .nuisances import Hold, Nuisance, with_fitting_priors
 from .open_law import FreeForces, SingleFits, open_law
-from .ranking import detectable, ranking, undetermined
-from .residual_tests import TestedResidual
 from .result import Diagnosis
 from .search import Search, is_gain
-from .verdict import Answer, TableRow, answer, table
+from .verdict import Answer, TableRow, answer, detectable, ranking, table, undetermined
+from .words import determined, numbers_that_moved, percent
 
-__all__ = ["about_hold", "amplitude_test", "ask", "diagnose", "open_force", "remarks", "with_offsets"]
+__all__ = ["about_hold", "diagnose", "open_force", "with_offsets"]
 
 _OTHER_AMPLITUDE = 1.3  # amplitude over that of another record
 
@@ -96,13 +94,8 @@ def _alone(fitted: FittedModel, record: int) -> tuple[Array, Array]:
     theta, starts = whole.unpack(fitted.point)
     problem = whole.like(records=[whole.records[record]])
     whitener = whole.whitener([fitted.residuals()[record]])
-    run = descend(
-        problem,
-        problem.pack(theta, starts[record : record + 1]),
-        whitener=whitener,
-        evaluations=15,
-        tolerance=1e-8,
-    )
+    point = problem.pack(theta, starts[record : record + 1])
+    run = descend(problem, point, whitener=whitener, evaluations=15, tolerance=1e-8)
     C = coefficient_covariance(problem, run.blocks(problem), whitener)
     return problem.unpack(run.point)[0].copy(), C
 
@@ -245,10 +238,10 @@ def diagnose(
         with steps.step("what is odd"):
             odd = () if in_frequency(records) else looks(seen, given, horizon)
         asked = options | {"candidates": None if candidates is None else tuple(candidates)}
-        found = ask(Case.prepare(base, records, candidates, asked, significance, steps), validation)
+        found = ask(Case(base, records, candidates, asked, significance, steps), validation)
         more = with_offsets(base, records, options) if found.verdict == "unexplained" else base
         if more is not base:  # nonlinear effects depend on the zero of a signal, linear models do not
-            again = ask(Case.prepare(more, records, candidates, asked, significance, steps), validation)
+            again = ask(Case(more, records, candidates, asked, significance, steps), validation)
             found = found if again.verdict == "unexplained" else again
         said = about_noise(base.physical_model, records, live)
         return replace(found, checks=odd, records=tuple(live), notes=(*silent, *found.notes, *said))
@@ -295,8 +288,8 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
     """
     still = case.in_time and (no_motion(case.ordered) or not_excited(case.base, case.ordered))
     if still:  # nothing moves in the records
-        own = {"force_ratio": 0.0, "notes": (still,), **case.about}
-        return Diagnosis("ambiguous", (), tuple(case.library), (), (), (), **own)
+        about = case.about | {"ambiguous": tuple(case.library), "notes": (still,)}
+        return Diagnosis("ambiguous", **about)
     search = Search(case).run()
     agreements: dict[Trial, tuple[float, str]] = {}
 
@@ -310,7 +303,7 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
         if not search.passed(trial):
             return False
         if not trial.effects:
-            return not is_drowned(TestedResidual(trial.model, trial.hypothesis.ratio), case.levels)
+            return not is_drowned(trial.tested, case.levels)
         off = not trial.hypothesis.floated or parameters_off(trial, case.levels)
         missed = [100.0 - np.mean(one.model.refinement.fit) for one in (trial, search.trials[0])]
         farther = not trial.hypothesis.ratio and missed[0] > (1.0 + case.levels.spoiled) * missed[1]
@@ -343,62 +336,50 @@ def _told(
 ) -> Diagnosis:
     """Return the answer as a diagnosis."""
     case, trial, word = search.case, found.trial, found.verdict
-    nothing = search.trials[0]
-    tested, own = TestedResidual(nothing.model), TestedResidual(trial.model, trial.hypothesis.ratio)
-    tests = search.criticized(nothing).tests or search.all_tests(nothing, tested)
+    held, nothing = trial.hypothesis, search.trials[0]
+    about = case.about | {"force_ratio": held.ratio}
     notes = [*about_hold(trial, search), *said]
-    about = {**case.about, "force_ratio": trial.hypothesis.ratio}
-    held = trial.hypothesis.nuisances
+    own = tuple(search.criticized(trial).tests)
+    left = left_to_noise(trial.tested, case.levels) if word in ("adequate", "parameters") else ""
     if word == "adequate":
-        tests = search.criticized(trial).tests
-        if held and not trial.hypothesis.ratio:
+        scored = candidate_columns(trial.model, case.library, case.motions[0], (held.ratio,))
+        shown = detectable(trial.tested, scored, len(own), case.significance, case.levels)
+        if held.nuisances and not held.ratio:
             about["base"] = trial.model.refinement
-        scored = candidate_columns(trial.model, case.library, case.motions[0], (own.ratio,))
-        shown = detectable(own, scored, len(tests), case.significance, case.levels)
-        left = left_to_noise(own, case.levels)
-        return Diagnosis(
-            word, (), (), tuple(tests), (), shown, notes=tuple(notes), left_to_noise=left, **about
-        )
-    holds = frozenset(one for one in held if isinstance(one, Hold))
+        about |= {"tests": own, "detectable": shown, "left_to_noise": left, "notes": tuple(notes)}
+        return Diagnosis(word, **about)
+    about["tests"] = tuple(search.criticized(nothing).tests or search.all_tests(nothing))
+    holds = frozenset(one for one in held.nuisances if isinstance(one, Hold))
     if holds:
         about["base"] = search.base(holds).refinement
     if word == "parameters":
-        passed, notes = search.criticized(trial).tests, [*notes, *_against(rows, found)]
-        left = left_to_noise(own, case.levels)
-        return Diagnosis(
-            word, (), (), tuple(tests), tuple(passed), (), notes=tuple(notes), left_to_noise=left,
-            floated=with_fitting_priors(case, trial), **about,
-        )  # fmt: skip
+        about |= {"winner_tests": own, "left_to_noise": left, "notes": (*notes, *_against(rows, found))}
+        return Diagnosis(word, **about, floated=with_fitting_priors(case, trial))
     law = None
     if word == "unexplained" and case.in_time:
         with case.progress.step("free forces"):
             law, base = open_force(search)
         about["base"] = base.refinement
-    if trial.hypothesis.floated and (word != "unexplained" or about["base"] is trial.base.refinement):
+    if held.floated and (word != "unexplained" or about["base"] is trial.base.refinement):
         about["base"] = trial.base.refinement
         notes.append(_beside_parameters(trial, word))
     notes += [*remarks(trial.model, trial.effects), *_denied(search, trial)]
-    known = {row.trials[0]: row for row in rows if row.effects}
     listed = _listed(search, rows, found, about["base"])
-    effects = list(dict.fromkeys(effect for one in listed for effect in one.effects))
-    scored = candidate_columns(case.fitted, effects, case.motions[0], (0.0,))
-    free_run = TestedResidual(case.fitted)
-    scores = {c.effect: t.p_value for c, t in zip(scored, free_run.each(scored), strict=True)}
-    shares = _shares(rows, found, listed, known)
     tied = [set(row.effects) for row in (found.row, *found.ties)]
     alike = [word != "unexplained" and set(one.effects) in tied for one in listed]
-    ranked = ranking(listed, shares, alike, scores, nothing.total, case, validation)
+    ranked = ranking(listed, _shares(rows, found, listed), alike, nothing.total, case, validation)
     others = [e for row in ranked if row.alike for e in row.effects if e not in trial.effects]
-    ambiguous, none = tuple(dict.fromkeys([ranked[0].effect, *others])), found.none
-    winner = search.criticized(trial).tests or search.all_tests(trial, own)
-    places, left = (
-        _places(rows, found, law, case.in_time),
-        "" if winner else left_to_noise(tested, case.levels),
-    )
+    winner = own or tuple(search.all_tests(trial))
+    about |= {"ranking": ranked, "winner_tests": winner, "notes": tuple(notes)}
+    about["ambiguous"] = tuple(dict.fromkeys([ranked[0].effect, *others]))
     return Diagnosis(
-        word, ranked, ambiguous, tuple(tests), tuple(winner), (), notes=tuple(notes), none_of_these=none,
-        places=places, open_law=None if law is None else law.law, left_to_noise=left, **about,
-    )  # fmt: skip
+        word,
+        **about,
+        none_of_these=found.none,
+        places=_places(rows, found, law, case.in_time),
+        open_law=None if law is None else law.law,
+        left_to_noise="" if winner else left_to_noise(nothing.tested, case.levels),
+    )
 
 
 def about_hold(trial: Trial, search: Search) -> list[str]:
@@ -471,9 +452,7 @@ def _listed(search: Search, rows: Sequence[TableRow], found: Answer, base: Refin
     return list(first.values())[:_LISTED]
 
 
-def _shares(
-    rows: Sequence[TableRow], found: Answer, listed: Sequence[Trial], known: dict[Trial, TableRow]
-) -> list[float]:
+def _shares(rows: Sequence[TableRow], found: Answer, listed: Sequence[Trial]) -> list[float]:
     """Return the probability of each listed set.
 
     The answer includes its special cases. All are NaN for the verdict "unexplained".
@@ -483,8 +462,8 @@ def _shares(
     total = float(np.logaddexp.reduce([row.value for row in rows]))
     of_set = {
         frozenset(row.effects): float(np.exp(row.value - total)) * (1.0 - found.none)
-        for row in known.values()
-        if not any(row is one for one in found.inside)
+        for row in rows
+        if row.effects and row not in found.inside
     }
     of_set[frozenset(found.row.effects)] = found.probability
     return [of_set.get(frozenset(trial.effects), 0.0) for trial in listed]
@@ -506,7 +485,7 @@ def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
         if not alone:
             continue
         whitener = base.problem.whitener([r for r, _ in alone[0].blocks])
-        free = open_law(SingleFits(base, alone, whitener, 0.0))
+        free = open_law(SingleFits(base, alone, whitener))
         opened = empty.get((frozenset(), search.opened))
         after = max(
             free.law.fit_after if free.law else 0.0, *(float(np.mean(x.model.refinement.fit)) for x in alone)
@@ -523,17 +502,13 @@ def _places(rows: Sequence[TableRow], found: Answer, free: Any, in_time: bool) -
     """
     if found.verdict == "unexplained" and not in_time:  # effects that fail do not locate the force
         return {}
-    logs: list[tuple[str, float]] = []
+    logs = [(e.place, row.value) for row in rows for e in row.effects]
     if free is not None:
         logs = list(free.log_likelihoods.items())
         left = np.clip(free.left, 1e-12, 1.0 - 1e-12)  # the unexplained share is at an unknown place
         known = np.logaddexp.reduce([value for _, value in logs])
         logs.append(("", float(known + np.log(left) - np.log1p(-left))))
-    else:
-        logs = [(e.place, row.value) for row in rows for e in row.effects]
-    if not logs:
-        return {}
-    total = float(np.logaddexp.reduce([value for _, value in logs]))
+    total = float(np.logaddexp.reduce([value for _, value in logs])) if logs else 0.0
     shares: dict[str, float] = {}
     for place, value in logs:
         shares[place] = shares.get(place, 0.0) + float(np.exp(value - total))

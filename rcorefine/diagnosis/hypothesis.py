@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -22,8 +21,9 @@ from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .noise import Noise, noise_of, rounding_step
 from .nuisances import Nuisance, Parameters, UnmeasuredForce
+from .residual_tests import TestedResidual
 
-__all__ = ["SPREADS", "Hypothesis", "Recorded", "Start", "Trial", "evidence", "unphysical", "weighted"]
+__all__ = ["Hypothesis", "Start", "Trial", "evidence", "likeliest_noise", "unphysical", "weighted"]
 
 #: Prior probability of each relative standard deviation (spread) of the parameters.
 SPREADS = {0.05: 0.6, 0.2: 0.3, 1.0: 0.1}
@@ -119,37 +119,16 @@ class Start:
         return replace(self, values=values, theta=theta, states=states)
 
 
-class Recorded(NamedTuple):
-    """Measured outputs in units of the weights.
+def likeliest_noise(problem: Problem, colored: bool = True) -> Callable[[Sequence[Array]], Noise]:
+    """Return the function that gives the likeliest noise of residuals.
 
-    Attributes
-    ----------
-    outputs : list of ndarray, shape (n_y, N)
-        Outputs of each record.
-    steps : list of float
-        Rounding step of each output, 0 for none.
-    most : int or None
-        Highest order of the noise filters, None for any. It is 0 if noise is white and normal.
+    Outputs and rounding steps are those of the records, in units of the weights. Noise is white and normal in
+    frequency responses, and if it is not `colored`.
     """
-
-    outputs: list[Array]
-    steps: list[float]
-    most: int | None
-
-    @classmethod
-    def of(cls, problem: Problem, colored: bool = True) -> Recorded:
-        """Return the measured outputs of an estimation problem."""
-        outputs, colored = (
-            [problem.weights[:, None] * r.outputs for r in problem.records],
-            colored and problem.in_time,
-        )
-        rows = np.concatenate(outputs, axis=1)
-        steps = [rounding_step(row) if colored else 0.0 for row in rows]
-        return cls(outputs, steps, problem.color if colored else 0)
-
-    def noise(self, residuals: Sequence[Array]) -> Noise:
-        """Return the likeliest noise of residuals."""
-        return noise_of(residuals, self.outputs, self.steps, self.most)
+    outputs = [problem.weights[:, None] * r.outputs for r in problem.records]
+    colored = colored and problem.in_time
+    steps = [rounding_step(row) if colored else 0.0 for row in np.concatenate(outputs, axis=1)]
+    return partial(noise_of, outputs=outputs, steps=steps, most=problem.color if colored else 0)
 
 
 @dataclass(eq=False)
@@ -191,6 +170,11 @@ class Trial:
         return self.hypothesis.effects
 
     @property
+    def first(self) -> int:
+        """Return the position of the first of these effects in the structure."""
+        return len(self.problem.structure.effects) - len(self.effects)
+
+    @property
     def point(self) -> Array:
         """Return the point of the fit."""
         return self.run.point
@@ -217,9 +201,8 @@ class Trial:
         It is that of its most significant coefficient; shaping coefficients count only if there is no other.
         """
         structure, found = self.problem.structure, []
-        first = len(structure.effects) - len(self.effects)
         theta = self.problem.unpack(self.point)[0]
-        for i in range(first, len(structure.effects)):
+        for i in range(self.first, len(structure.effects)):
             at = [k for k, q in enumerate(structure.parameters) if q.effect == i]
             shaping = structure.effects[i].spec.shaping
             sizes = [k for k in at if structure.parameters[k].name not in shaping] or at
@@ -234,14 +217,11 @@ class Trial:
         friction or of a loss may have a sign that physics excludes.
         """
         structure, theta = self.problem.structure, self.problem.unpack(self.point)[0]
-        first = len(structure.effects) - len(self.effects)
         for k, q in enumerate(structure.parameters):
-            if q.effect < first:
-                continue
             effect = structure.effects[q.effect]
-            law = effect.spec
-            shape = q.name in law.shaping and np.isfinite(effect.bounds(q.name)[0])
-            if (shape or q.name in law.essential) and not abs(theta[k]) > least * self.sd[k]:
+            shape = q.name in effect.spec.shaping and np.isfinite(effect.bounds(q.name)[0])
+            asked = q.effect >= self.first and (shape or q.name in effect.spec.essential)
+            if asked and not abs(theta[k]) > least * self.sd[k]:
                 return False
         return self.possible and all(sure > least for sure in self.surest)
 
@@ -251,12 +231,21 @@ class Trial:
         own = zip(self.effects, self.start.values, strict=True)
         return not any(unphysical(effect, values, self.problem.structure.model) for effect, values in own)
 
+    @property
+    def is_linear(self) -> bool:
+        """Return whether the model with its effects is linear."""
+        return self.problem.structure.is_linear
+
+    @cached_property
+    def tested(self) -> TestedResidual:
+        """Return the whitened residual for the tests."""
+        return TestedResidual(self.model, self.hypothesis.ratio)
+
     @cached_property
     def start(self) -> Start:
         """Return the point of the trial as a start."""
         theta, states = self.problem.unpack(self.point)
-        structure = self.problem.structure
-        first = len(structure.effects) - len(self.effects)
+        structure, first = self.problem.structure, self.first
         values: list[dict[str, float]] = [{} for _ in self.effects]
         for k, q in enumerate(structure.parameters):
             if q.effect >= first:
@@ -309,7 +298,7 @@ class Trial:
         finite. The tangent of a force law at rest is subtracted.
         """
         problem, structure = self.problem, self.problem.structure
-        k = len(structure.effects) - len(self.effects) + i
+        k = self.first + i
         effect, at_port = structure.effects[k], k in structure.port_effects
         if not problem.in_time or not (at_port or effect.spec.is_element):
             return None
@@ -373,7 +362,9 @@ def weighted(problem: Problem, noise: Noise) -> Problem:
     return found
 
 
-def evidence(trial: Trial, before: Sequence[Array], record: Recorded, held: int) -> Trial:
+def evidence(
+    trial: Trial, before: Sequence[Array], noise_of: Callable[[Sequence[Array]], Noise], held: int
+) -> Trial:
     """Set noise, log evidence and standard deviations of a trial.
 
     Parameters
@@ -382,8 +373,8 @@ def evidence(trial: Trial, before: Sequence[Array], record: Recorded, held: int)
         Changed in place, and returned.
     before : sequence of ndarray, shape (n_y, N)
         Residual without the effects. The effects reduce it; the size of this reduction scales their priors.
-    record : Recorded
-        Measured outputs.
+    noise_of : callable
+        Function that gives the likeliest noise of residuals (`likeliest_noise`).
     held : int
         Number of coefficients of the model as given; further ones of the base are its parameters.
 
@@ -397,7 +388,7 @@ def evidence(trial: Trial, before: Sequence[Array], record: Recorded, held: int)
     problem, point, blocks = trial.problem, trial.point, trial.blocks
     theta, _ = problem.unpack(point)
     p, p0 = problem.n_theta, trial.base.problem.n_theta
-    noise = record.noise([r for r, _ in blocks])
+    noise = noise_of([r for r, _ in blocks])
     trial.noise = noise
     weights = [w * np.sign(j) for w, j in zip(noise.weights, problem.judged(theta), strict=True)]
     apply = noise.whitener.apply

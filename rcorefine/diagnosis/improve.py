@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import control as ct
@@ -34,17 +34,15 @@ from ..models.operating_point import ordered_record
 from ..progress import Progress
 from ..refinement.refine import base_fit, refine, refit
 from ..systems.linear import Array
-from .case import Case, candidates_of, no_motion, not_held, seen_in
-from .checks.check import looks
-from .colored_noise import left_to_noise
+from .case import Case, Parts, candidates_of, common_horizon, no_motion, not_held, seen_in, split_in_parts
+from .check import looks
 from .diagnose import about_hold, open_force, with_offsets
 from .hypothesis import Trial
-from .improvement import Improvement, Step
-from .parts import Parts, common_horizon, split_in_parts
-from .ranking import estimates, undetermined
-from .residual_tests import TestedResidual
+from .noise import left_to_noise
+from .nuisances import Nuisance
+from .result import Improvement, Step
 from .search import Search
-from .verdict import table
+from .verdict import estimates, table, undetermined
 
 __all__ = ["improve"]
 
@@ -174,7 +172,8 @@ def improve(
         if in_time and (still := no_motion(parts.fit)):  # the fits above have checked the channels
             raise DataError(still)
         odd = looks(model, records, horizon) if in_time else ()
-        improver = _Improver((start, nominal), parts, settings, library, significance, bar)
+        library = not_held(library, nominal.effects)
+        improver = _Improver(start, nominal, parts, settings, library, significance, bar)
         verdict, message, notes = improver.improve(max_effects)
     outputs = physical.linear.output_labels
     units = tuple(parts.fit[0].output_units) if in_time else ("std",) * len(outputs)
@@ -183,12 +182,13 @@ def improve(
     )
 
 
+@dataclass(eq=False)
 class _Improver:
     """Stepwise improvement from the initial model to the chosen set.
 
-    Parameters
+    Attributes
     ----------
-    starts : tuple of Refinement
+    start, nominal : Refinement
         Initial model, fitted to the first part with its free parameters, and the model to be improved.
     parts : Parts
         Three parts of the records.
@@ -200,21 +200,18 @@ class _Improver:
         Significance level of the residual tests.
     progress : Progress
         Progress display, which also runs the tasks.
+    steps : list of Step
+        Steps so far.
     """
 
-    def __init__(
-        self,
-        starts: tuple[Refinement, Refinement],
-        parts: Parts,
-        settings: dict[str, Any],
-        library: Sequence[Effect],
-        significance: float,
-        progress: Progress,
-    ) -> None:
-        (self.start, self.nominal), self.parts, self.settings = starts, parts, settings
-        self.library, self.significance = not_held(list(library), self.nominal.effects), significance
-        self.progress = progress
-        self.steps: list[Step] = []
+    start: Refinement
+    nominal: Refinement
+    parts: Parts
+    settings: dict[str, Any]
+    library: list[Effect]
+    significance: float
+    progress: Progress
+    steps: list[Step] = field(default_factory=list)
 
     def improve(self, most: int) -> tuple[str, str, list[str]]:
         """Choose a set and record its steps; return verdict, message and notes."""
@@ -256,7 +253,7 @@ class _Improver:
         """Return the case of some of the records, with offsets at all channels."""
         given = {**self.settings, "free": ()}
         base = with_offsets(start, records, given)
-        return Case.prepare(base, records, self.library, given, self.significance, self.progress)
+        return Case(base, records, self.library, given, self.significance, self.progress)
 
     # ------------------------------------------------------------------ choosing
     def _pooled(self, search: Search, chosen: Trial) -> tuple[Search, Trial]:
@@ -266,20 +263,16 @@ class _Improver:
         stays if none of the three most probable sets passes.
         """
         learn, excluded = self.parts.learn, 0.5 * search.case.levels.rival
-        more = Search(
-            self._case(refit(self.nominal, learn, elsewhere=False, **self.settings), learn),
-            search.most,
-            alone=False,
-        )
-        more.empty(frozenset())
-        if chosen.hypothesis.nuisances:
-            more.empty(chosen.hypothesis.nuisances)
+        base = refit(self.nominal, learn, elsewhere=False, **self.settings)
+        more = Search(self._case(base, learn), search.most, alone=False)
+        for nuisances in dict.fromkeys((frozenset[Nuisance](), chosen.hypothesis.nuisances)):
+            more.empty(nuisances)
         least = search.posterior(chosen) - 2.0 * excluded
         likely = [row.trials[0] for row in table(search) if row.effects and row.value > least]
         for trial in dict.fromkeys([chosen, *likely]):
             if trial.effects:
-                base = more.base(trial.hypothesis.nuisances)
-                start = trial.start.on(base.problem.unpack(base.point)[1])
+                there = more.base(trial.hypothesis.nuisances)
+                start = trial.start.on(there.problem.unpack(there.point)[1])
                 more.try_(trial.effects, trial.hypothesis.nuisances, [start])
         more.polish()
         ranked = [t for t in more.ranked() if more.determined(t)]
@@ -295,8 +288,7 @@ class _Improver:
         """
         if not search.passed(chosen):
             return True
-        tested = TestedResidual(chosen.model, chosen.hypothesis.ratio)
-        return left_to_noise(tested, search.case.levels) != ""
+        return left_to_noise(chosen.tested, search.case.levels) != ""
 
     def _by_error(self, search: Search, most: int) -> tuple[Search, Trial]:
         """Search for the set of least error under white noise, effect by effect.
@@ -336,20 +328,16 @@ class _Improver:
 
         None if no set decreases the error enough for its coefficients.
         """
-        cost = {trial: self._cost(trial, errors[trial]) for trial in tried}
-        least = 0.5 * (float(np.mean(np.log(self.start.rmse + 1e-300))) + without)
+        cost = {trial: 0.5 * (_log(trial.model.refinement.rmse) + errors[trial]) for trial in tried}
+        for trial in tried:
+            cost[trial] += levels().earned * sum(len(effect.free) for effect in trial.effects)
+        least = 0.5 * (_log(self.start.rmse) + without)
         for trial in sorted(tried, key=cost.__getitem__)[:_SETTLED]:
             if not cost[trial] < least:
                 break
             if not _loose(self._settled(_with_spread(trial)), trial.effects):
                 return trial
         return None
-
-    @staticmethod
-    def _cost(trial: Trial, error: float) -> float:
-        """Return the log error on both parts plus the penalty per coefficient."""
-        fitted = float(np.mean(np.log(trial.model.refinement.rmse + 1e-300)))
-        return 0.5 * (fitted + error) + levels().earned * sum(len(effect.free) for effect in trial.effects)
 
     def _plainer(self, trial: Trial, search: Search, keeps: float) -> Trial:
         """Return the trial of the same effects without nuisances if it suffices.
@@ -367,7 +355,7 @@ class _Improver:
 
     def _log_error(self, refinement: Refinement) -> float:
         """Return the log free-run error on the second part, mean over outputs."""
-        return float(np.mean(np.log(self._errors(refinement, self.parts.choose) + 1e-300)))
+        return _log(self._errors(refinement, self.parts.choose))
 
     def _errors(self, refinement: Refinement, records: Sequence[Any]) -> Array:
         """Return the root mean square error (n_y,) of the free run.
@@ -386,18 +374,15 @@ class _Improver:
     def _rungs(self, chosen: Trial, search: Search) -> list[tuple[Effect | None, str, Refinement]]:
         """Return the models of the steps: start, parameters, then each effect."""
         rungs: list[tuple[Effect | None, str, Refinement]] = [(None, "start", self._settled(self.start))]
-        held = chosen.hypothesis.nuisances
+        held, last = chosen.hypothesis.nuisances, _with_spread(chosen)
+        if not chosen.effects:
+            return [*rungs, *([(None, "parameters", self._settled(last))] if held else [])]
         if held and self.start is self.nominal:
             rungs.append((None, "parameters", self._settled(search.base(held).refinement)))
-        last = _with_spread(chosen)
-        if not chosen.effects:
-            if held:
-                rungs = [*rungs[:1], (None, "parameters", self._settled(last))]
-            return rungs
         whole = self._settled(last)
         order = list(chosen.effects)
         if len(order) > 1:  # first the effect without which the error is largest
-            lost = {e: float(np.mean(np.log(self._without(whole, [e]).rmse + 1e-300))) for e in order}
+            lost = {e: _log(self._without(whole, [e]).rmse) for e in order}
             order.sort(key=lambda e: -lost[e])
         for k in range(1, len(order)):
             rungs.append((order[k - 1], "add", self._without(whole, order[k:])))
@@ -439,27 +424,18 @@ class _Improver:
         """Append steps with their errors and coefficients."""
         for effect, action, model in rungs:
             rows = {} if effect is None else estimates(model, effect)
-            train = model.rmse.copy() if not model.of_responses else self._errors(model, self.parts.fit)
-            self.steps.append(
-                Step(
-                    effect,
-                    action,
-                    train,
-                    self._errors(model, self.parts.choose),
-                    self._errors(model, self.parts.judge),
-                    {name: float(row.coefficient) for name, row in rows.items()},
-                    {name: float(row.std) for name, row in rows.items()},
-                    "effect" if action == "add" else verdict,
-                    (),
-                    model,
-                )
-            )
+            values = {name: float(row.coefficient) for name, row in rows.items()}
+            std = {name: float(row.std) for name, row in rows.items()}
+            parts = self.parts
+            train = self._errors(model, parts.fit) if model.of_responses else model.rmse.copy()
+            choice, judged = (self._errors(model, part) for part in (parts.choose, parts.judge))
+            said = "effect" if action == "add" else verdict
+            self.steps.append(Step(effect, action, train, choice, judged, values, std, said, (), model))
 
     def _cut(self) -> None:
         """Remove last steps that decrease the second-part error too little."""
         costs = [
-            float(np.mean(np.log(step.choice_rmse + 1e-300)))
-            + levels().earned * sum(len(s.coefficients) for s in self.steps[: k + 1])
+            _log(step.choice_rmse) + levels().earned * sum(len(s.coefficients) for s in self.steps[: k + 1])
             for k, step in enumerate(self.steps)
         ]
         self.steps = self.steps[: int(np.argmin(costs)) + 1]
@@ -507,19 +483,26 @@ class _Improver:
     def _ending(self, verdict: str, back: list[str], full: bool, law: Any) -> str:
         """Return the reason why the improvement ended."""
         said = "" if law is None or back else f" The force at {law[0].place} is unknown: a table holds it."
-        if back and verdict == "adequate":
-            names = ", ".join(back)
-            return f"No residual test is significant. Removed, since the held-out error increased: {names}."
+        names = ", ".join(back)
         if verdict == "adequate":
-            return "No residual test is significant: this record shows no missing effect."
+            return (
+                f"No residual test is significant. Removed, since the held-out error increased: {names}."
+                if back
+                else "No residual test is significant: this record shows no missing effect."
+            )
         if back:
             return (
-                f"Removed: {', '.join(back)}. The held-out error was larger than at the start, or the data "
+                f"Removed: {names}. The held-out error was larger than at the start, or the data "
                 "do not determine them. The residual is not noise."
             )
         if full:
             return f"Stopped at max_effects = {len(self.steps) - 1}; the residual is not noise.{said}"
         return f"No other set of effects reduces the held-out error enough.{said}"
+
+
+def _log(errors: Array) -> float:
+    """Return the log error, mean over the outputs."""
+    return float(np.mean(np.log(errors + 1e-300)))
 
 
 def _loose(model: Refinement, effects: Sequence[Effect]) -> bool:

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple, Protocol
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import gammaln, ndtr
 
 from ..inference.autoregression import autoregression
+from ..inference.levels import Levels, levels
 from ..inference.whitening import Whitener, innovations
 from ..systems.linear import Array
+from ..words import frequency_text
+from .residual_tests import TestedResidual
 
-__all__ = ["Noise", "NoiseModel", "noise_of", "rounding_step"]
+__all__ = ["Noise", "is_drowned", "left_to_noise", "noise_of", "rounding_step", "spectral_line"]
 
 _MEDIAN = 0.45  # median of the square of a standard normal variable
 _DISTINCT, _ON_STEP = 0.6, 0.9  # rounded: most distinct values, least values on a whole step (shares)
@@ -48,7 +51,7 @@ class Noise(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """Noise model fitted to the residual of one output (`NoiseModel.fit`)."""
+    """Noise model fitted to the residual of one output."""
 
     log_likelihood: float
     filter: Array
@@ -101,99 +104,73 @@ class Residual:
         return value, a, variance
 
 
-class NoiseModel(Protocol):
-    """Protocol of a noise model."""
-
-    def fit(self, residual: Residual) -> Fit | None:
-        """Fit the model to a residual; None if it does not apply."""
-
-
-@dataclass(frozen=True)
-class Autoregressive:
-    """Autoregressive noise with normal innovations.
+def _autoregressive(residual: Residual) -> Fit:
+    """Fit autoregressive noise with normal innovations.
 
     Schwarz's criterion determines the order (Annals of Statistics 6 (1978) 461).
     """
-
-    def fit(self, residual: Residual) -> Fit:
-        """Fit the filter and the variance."""
-        value, a, variance = residual.colored
-        return Fit(value, a, variance, np.ones(residual.left.size), f"autoregressive {a.size - 1}")
+    value, a, variance = residual.colored
+    return Fit(value, a, variance, np.ones(residual.left.size), f"autoregressive {a.size - 1}")
 
 
-@dataclass(frozen=True)
-class HeavyTailed:
-    """Autoregressive noise with innovations of Student's t distribution.
+def _heavy_tailed(dof: float, residual: Residual) -> Fit | None:
+    """Fit autoregressive noise with innovations of Student's t distribution.
 
-    The filter is that of the normal model.
+    The filter is that of the normal model. Expectation-maximization gives the scale and the weights.
     """
-
-    dof: float
-
-    def fit(self, residual: Residual) -> Fit | None:
-        """Fit the scale by expectation-maximization, with weights of the samples."""
-        if residual.most == 0:
-            return None
-        _, a, _ = residual.colored
-        row, dof = residual.left, self.dof
-        e = innovations(a, row - row.mean())[a.size - 1 :]
-        scale = float(np.median(e**2)) / _MEDIAN + 1e-300
-        w = np.ones(e.size)
-        for _ in range(30):
-            w = (dof + 1) / (dof + e**2 / scale)
-            before, scale = scale, float(np.mean(w * e**2)) + 1e-300
-            if abs(scale - before) < 1e-6 * scale:
-                break
-        constant = gammaln((dof + 1) / 2) - gammaln(dof / 2) - 0.5 * np.log(dof * np.pi * scale)
-        value = e.size * constant - 0.5 * (dof + 1) * float(np.sum(np.log1p(e**2 / (dof * scale))))
-        value = value * row.size / e.size - a.size * residual.price
-        weights = np.concatenate([np.ones(a.size - 1), np.sqrt(w)])
-        return Fit(value, a, scale, weights, f"Student {dof:g}")
+    if residual.most == 0:
+        return None
+    _, a, _ = residual.colored
+    row = residual.left
+    e = innovations(a, row - row.mean())[a.size - 1 :]
+    scale = float(np.median(e**2)) / _MEDIAN + 1e-300
+    w = np.ones(e.size)
+    for _ in range(30):
+        w = (dof + 1) / (dof + e**2 / scale)
+        before, scale = scale, float(np.mean(w * e**2)) + 1e-300
+        if abs(scale - before) < 1e-6 * scale:
+            break
+    constant = gammaln((dof + 1) / 2) - gammaln(dof / 2) - 0.5 * np.log(dof * np.pi * scale)
+    value = e.size * constant - 0.5 * (dof + 1) * float(np.sum(np.log1p(e**2 / (dof * scale))))
+    value = value * row.size / e.size - a.size * residual.price
+    weights = np.concatenate([np.ones(a.size - 1), np.sqrt(w)])
+    return Fit(value, a, scale, weights, f"Student {dof:g}")
 
 
-@dataclass(frozen=True)
-class Proportional:
-    """Noise with a part proportional to the output of the model."""
-
-    share: float
-
-    def fit(self, residual: Residual) -> Fit | None:
-        """Fit an autoregressive model to the weighted residual."""
-        if residual.most == 0:
-            return None
-        level = np.abs(residual.measured + residual.left)
-        level = level / (float(np.sqrt(np.mean(level**2))) or 1.0)
-        w = 1.0 / np.sqrt(1.0 + (self.share * level) ** 2)
-        w /= np.exp(np.mean(np.log(w)))
-        value, a, variance = residual.autoregressive(residual.left * w)
-        return Fit(value - residual.price, a, variance, w, f"proportional {self.share:g}")
+def _proportional(share: float, residual: Residual) -> Fit | None:
+    """Fit autoregressive noise with a part proportional to the output."""
+    if residual.most == 0:
+        return None
+    level = np.abs(residual.measured + residual.left)
+    level = level / (float(np.sqrt(np.mean(level**2))) or 1.0)
+    w = 1.0 / np.sqrt(1.0 + (share * level) ** 2)
+    w /= np.exp(np.mean(np.log(w)))
+    value, a, variance = residual.autoregressive(residual.left * w)
+    return Fit(value - residual.price, a, variance, w, f"proportional {share:g}")
 
 
-@dataclass(frozen=True)
-class Rounded:
-    """White normal noise, then rounding to whole steps.
+def _rounded(residual: Residual) -> Fit | None:
+    """Fit white normal noise, then rounded to whole steps.
 
     The likelihood is that of the rounding intervals (Sheppard).
     """
-
-    def fit(self, residual: Residual) -> Fit | None:
-        """Fit the standard deviation before rounding."""
-        step, r = residual.step, residual.left
-        if step <= 0:
-            return None
-        best = -np.inf
-        for s in step * _SPREADS:
-            p = ndtr((r + step / 2) / s) - ndtr((r - step / 2) / s)
-            best = max(best, float(np.sum(np.log(np.maximum(p, 1e-30)))) - r.size * float(np.log(step)))
-        value = best - residual.price
-        return Fit(value, np.ones(1), float(np.mean(r**2)) or 1.0, np.ones(r.size), "rounded")
+    step, r = residual.step, residual.left
+    if step <= 0:
+        return None
+    best = -np.inf
+    for s in step * _SPREADS:
+        p = ndtr((r + step / 2) / s) - ndtr((r - step / 2) / s)
+        best = max(best, float(np.sum(np.log(np.maximum(p, 1e-30)))) - r.size * float(np.log(step)))
+    value = best - residual.price
+    return Fit(value, np.ones(1), float(np.mean(r**2)) or 1.0, np.ones(r.size), "rounded")
 
 
-MODELS: tuple[NoiseModel, ...] = (
-    Autoregressive(),
-    *map(HeavyTailed, (2.5, 4.0, 8.0)),
-    *map(Proportional, (0.5, 1.0, 2.0, 4.0, 8.0)),
-    Rounded(),
+#: Noise models: each fits a residual, or returns None if it does not apply.
+MODELS: tuple[Callable[[Residual], Fit | None], ...] = (
+    _autoregressive,
+    *(partial(_heavy_tailed, dof) for dof in (2.5, 4.0, 8.0)),
+    *(partial(_proportional, share) for share in (0.5, 1.0, 2.0, 4.0, 8.0)),
+    _rounded,
 )
 
 
@@ -219,7 +196,7 @@ def noise_of(
     best = []
     for left, measured, step in rows:
         residual = Residual(left, measured, step, most)
-        fits = [fit for model in MODELS if (fit := model.fit(residual)) is not None]
+        fits = [fit for model in MODELS if (fit := model(residual)) is not None]
         best.append(max(fits, key=lambda fit: fit.log_likelihood))
     ends = np.cumsum([r.shape[1] for r in residuals])[:-1]
     return Noise(
@@ -239,3 +216,114 @@ def rounding_step(values: Array) -> float:
     step = float(np.median(gaps[gaps > 1e-9 * np.ptp(distinct)]))
     counts = (values - distinct[np.argmax(times)]) / step
     return step if np.mean(np.abs(counts - np.round(counts)) < 0.01) > _ON_STEP else 0.0
+
+
+_LOBE, _BESIDE = 2, 12  # bins of a Hann window's line on either side, and of what is compared with it
+_PARTS = 8  # of the record, in each of which the line stands
+_SHORTEST_LINE = 200  # samples
+
+
+def spectral_line(residuals: Sequence[Array], dt: float) -> tuple[float, float] | None:
+    """Frequency of the line that makes up most of a residual, if there is one.
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray of shape (n_y, N)
+        Of each record; the longest is looked at.
+    dt : float
+        Sampling time (s).
+
+    Returns
+    -------
+    frequency, share : float
+        In Hz, and of the power of that output; None where no line stands out that keeps its phase.
+    """
+    longest = max(residuals, key=lambda block: block.shape[1])
+    found = [line for row in longest if (line := _line_of(row - row.mean(), dt)) is not None]
+    return max(found, key=lambda line: line[1], default=None)
+
+
+def _line_of(row: Array, dt: float) -> tuple[float, float] | None:
+    n = row.size
+    if n < _SHORTEST_LINE or not row.any():
+        return None
+    window = np.hanning(n)
+    power = np.abs(np.fft.rfft(window * row)) ** 2
+    k = int(np.argmax(power[_LOBE + 1 : -_BESIDE])) + _LOBE + 1
+    near = slice(k - _LOBE, k + _LOBE + 1)
+    beside = np.concatenate([power[max(k - _BESIDE, 1) : near.start], power[near.stop : k + _BESIDE + 1]])
+    level = levels()
+    if power[k] < level.line * beside.mean() or power[near].sum() < level.line_share * power.sum():
+        return None
+    bins = k + np.linspace(-1.0, 1.0, 81)
+    waves = np.exp(-2j * np.pi * np.outer(bins, np.arange(n)) / n)
+    best = int(np.argmax(np.abs(waves @ (window * row))))
+    parts = np.array([part.mean() for part in np.array_split(waves[best] * row, _PARTS)])
+    if np.abs(parts - parts.mean()).max() > level.line_drift * abs(parts.mean()):
+        return None
+    return float(bins[best] / (n * dt)), float(power[near].sum() / power.sum())
+
+
+def left_to_noise(tested: TestedResidual, levels: Levels) -> str:
+    """Describe a large residual that passes for colored noise.
+
+    The error of a model may look like that.
+
+    Parameters
+    ----------
+    tested : TestedResidual
+        Residual that passed.
+    levels : Levels
+        How much of it may be color.
+
+    Returns
+    -------
+    str
+        What that is in words, empty where little does.
+    """
+    fit, memory = _fit_and_memory(tested)
+    if memory == 0.0 or (fit >= levels.colored_fit and memory < levels.colored_size):
+        return ""
+    run = "The prediction" if tested.fitted.refinement.led else "The free run"
+    problem = tested.fitted.problem
+    residuals = tested.fitted.residuals(tested.ratio)
+    line = spectral_line(residuals, problem.records[0].dt) if problem.in_time else None
+    pure = ""
+    if line is not None:
+        at, share = frequency_text(2 * np.pi * line[0]), line[1]
+        pure = (
+            f" {100 * share:.0f} % of the residual is a line at {at}: an unmeasured force or a disturbance "
+            "of that frequency."
+        )
+    lasts = ""
+    if problem.in_time:
+        # until the slowest mode of the filters forgets itself to 1/e
+        slowest = max(float(np.abs(np.roots(a)).max()) for a in tested.whitener.filters if a.size > 1)
+        forgotten = -problem.records[0].dt / float(np.log(min(slowest, 1.0 - 1e-9)))
+        lasts = f" of about {float(f'{forgotten:.2g}'):g} s"
+    return (
+        f"{run} explains only {fit:.3g} % of the record. The residual cannot be distinguished from colored "
+        f"noise with a time constant{lasts}; it is {memory:.2g} times as large as its innovations.{pure} If "
+        "neither the sensor nor a disturbance drifts like that, the model is wrong. Repeat the record: an "
+        "error that returns is an error of the model. Steps up and down, or a sweep, show what it is."
+    )
+
+
+def is_drowned(tested: TestedResidual, levels: Levels) -> bool:
+    """Return whether colored noise leaves too little of the fit.
+
+    The residual passes the tests as colored noise, but the fit is low.
+    """
+    fit, memory = _fit_and_memory(tested)
+    return fit < levels.drowned and memory >= levels.colored_size
+
+
+def _fit_and_memory(tested: TestedResidual) -> tuple[float, float]:
+    """Return the worst fit in percent and the color of the residual.
+
+    The color is the size of the residual relative to its innovation, 0 where no output has colored noise.
+    """
+    refined, orders = tested.fitted.refinement, np.array(tested.whitener.orders)
+    whole = np.hstack(tested.fitted.residuals(tested.ratio)).std(axis=1)
+    memory = float(np.max(whole / tested.whitener.scales, where=orders > 0, initial=0.0))
+    return float(refined.fit[np.isfinite(refined.fit)].min(initial=100.0)), memory

@@ -13,10 +13,12 @@ from ..effects.effect import Effect
 from ..exceptions import IdentifiabilityWarning, unheard
 from ..inference.assembly import nominal_size
 from ..inference.fitted import FittedModel, fitted_from
+from ..inference.levels import Levels
 from ..inference.refinement import Refinement
 from ..models.library import effect_library
 from ..refinement.refine import base_fit, refine
 from ..systems.linear import Array
+from .residual_tests import TestedResidual
 
 if TYPE_CHECKING:
     from .case import Case
@@ -29,16 +31,18 @@ __all__ = [
     "Parameters",
     "UnmeasuredForce",
     "between_steps",
+    "likely_forces",
     "parameters_of",
     "with_fitting_priors",
 ]
 
-_FORCES = 14  # sizes and places of an unmeasured force, equally probable
 _STRONG = 75.0  # fit in percent below which the parameters are searched for in a wide range
 _SEEN = 0.5  # least relative reduction of the prior variance of a determined combination
 _SAME = 0.1  # relative change of the priors at which the iteration ends
 _LEFT = 2.0  # prior standard deviations beyond which a parameter gets a prior of its own
 _ROUNDS = 3
+_SIZES = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128)  # ratios of the unmeasured to the measured force
+_AT = ("everywhere", "inputs")
 _STEP, _STEPS, _EXACT = 6.0, 0.35, 1e-6  # least step in standard deviations, most steps (share), least noise
 _WHITE, _APART = 0.3, 3.0  # most autocorrelation of noise; least distance of two levels (std)
 _LASTS = 3  # least samples of a level
@@ -106,7 +110,7 @@ class UnmeasuredForce:
 
     at: str
     ratio: float
-    log_prior: float = -float(np.log(_FORCES))
+    log_prior: float = -float(np.log(len(_SIZES) * len(_AT)))
 
     def base(self, case: Case, fitted: FittedModel) -> FittedModel:
         """Return the model with a Kalman predictor that allows for the force."""
@@ -125,6 +129,44 @@ class NoisyInputs:
         records = [replace(r, inputs=between_steps(r.inputs)) for r in fitted.problem.records]
         problem = fitted.problem.like(records=records)
         return replace(fitted, problem=problem, _blocks={}, _gains={}, _states={})
+
+
+def likely_forces(trial: Trial, least: float, levels: Levels) -> list[TestedResidual]:
+    """Return residuals with likely unmeasured forces, the best first.
+
+    The force acts at the inputs or everywhere, with one of several sizes.
+
+    Parameters
+    ----------
+    trial : Trial
+        Fit without such a force.
+    least : float
+        Least gain in log-likelihood.
+    levels : Levels
+        Levels; within `force_size` of the best log-likelihood, a size is likely.
+
+    Returns
+    -------
+    list of TestedResidual
+        Residuals of the Kalman predictor; empty if no force gains more than `least`.
+    """
+    found: list[TestedResidual] = []
+    for at in _AT:
+        top = -np.inf
+        for ratio in _SIZES:
+            try:
+                led = TestedResidual(trial.model.forced(at), ratio)
+            except (np.linalg.LinAlgError, ValueError):
+                continue
+            if np.isfinite(led.log_likelihood):
+                found.append(led)
+                top = max(top, led.log_likelihood)
+            if not led.log_likelihood >= top - 3 * levels.force_size:
+                break  # larger forces are still less likely
+    found.sort(key=lambda led: -led.log_likelihood)
+    if not found or found[0].log_likelihood <= trial.tested.log_likelihood + least:
+        return []
+    return [led for led in found if led.log_likelihood >= found[0].log_likelihood - levels.force_size]
 
 
 def between_steps(inputs: Array) -> Array:

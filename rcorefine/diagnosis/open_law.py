@@ -4,22 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Unpack
 
+import control as ct
 import numpy as np
 
+from ..data.measurement import Measurement
 from ..effects.effect import Effect, unit_forces
 from ..effects.given import InputCurve, OutputCurve, Table, Tabulated
 from ..inference.basis import Basis, project
 from ..inference.fitted import FittedModel
 from ..inference.free_form import FreeForm, evidence, fit_free_form
+from ..inference.hidden_force import estimated_force
+from ..inference.refinement import Refinement
 from ..inference.whitening import Whitener
+from ..models.ports import Port
+from ..results import Look, Result, picture, show
 from ..systems.linear import Array
 from .beside import channel_curve, curve_at, curve_columns, motion_at
 from .hypothesis import Trial
-from .places import likely_places
-from .residual_tests import TestedResidual
+from .residual_tests import TestedResidual, likely_places
 
-__all__ = ["FreeForces", "OpenLaw", "SingleFits", "open_law"]
+__all__ = ["FreeForces", "HiddenForce", "OpenLaw", "SingleFits", "hidden_force", "open_law"]
 
 _NAMES = {
     Tabulated.name: "unknown force",
@@ -65,14 +71,11 @@ class SingleFits:
         The effects, the best one first.
     whitener : Whitener
         Metric of the comparison with free forces: the noise filter of the best effect's residual.
-    ratio : float
-        Ratio of the unmeasured to the measured force, 0 for the free run.
     """
 
     fitted: FittedModel
     trials: list[Trial]
     whitener: Whitener
-    ratio: float
 
     def log_likelihood(self, i: int) -> float:
         """Return the log-likelihood of an effect, in the common metric.
@@ -123,28 +126,28 @@ def open_law(fits: SingleFits) -> FreeForces:
     """
     places = [trial.effects[0].place for trial in fits.trials]
     found = _forms(fits, places)
-    free = {place: form.log_likelihood(fits.whitener, fits.ratio) for place, form in found.items()}
+    free = {place: form.log_likelihood(fits.whitener, 0.0) for place, form in found.items()}
     static = _static(fits)
     free |= {place: value for place, (value, _) in static.items()}
     best = max([(fits.log_likelihood(0), places[0]), *zip(free.values(), free, strict=True)])[1]
     if best in found:
         first = found[best]
-        found[best] = fit_free_form(fits.fitted, first.curve, first.whitener, fits.ratio, start=first)
-        free[best] = found[best].log_likelihood(fits.whitener, fits.ratio)
-        after = found[best].fitted.residuals(fits.ratio)
+        found[best] = fit_free_form(fits.fitted, first.curve, first.whitener, start=first)
+        free[best] = found[best].log_likelihood(fits.whitener, 0.0)
+        after = found[best].fitted.residuals()
     elif best in places:  # the candidate was fitted; the curve is a linear step only
         after = [r for r, _ in fits.trials[places.index(best)].blocks]
     else:
         after = static[best][1]
     scales = fits.fitted.problem.whitener(after).scales
-    left = _beyond(after, scales) / (_beyond(fits.fitted.residuals(fits.ratio), scales) or 1.0)
+    left = _beyond(after, scales) / (_beyond(fits.fitted.residuals(), scales) or 1.0)
     left = min(1.0, left)
     # a free curve of a channel can imitate effects elsewhere: its place needs more than half the probability
     odds = free.get(best, -np.inf) - float(np.logaddexp.reduce(list(free.values())))
     if best in static and np.exp(odds) * (1.0 - left) > 0.5:
         curve = channel_curve(fits.fitted, best)
         assert curve is not None
-        found[best] = fit_free_form(fits.fitted, curve, fits.whitener, fits.ratio)
+        found[best] = fit_free_form(fits.fitted, curve, fits.whitener)
     return FreeForces(free, _tabulated(fits, found[best]) if best in found else None, left)
 
 
@@ -155,24 +158,22 @@ def _forms(fits: SingleFits, places: Sequence[str]) -> dict[str, FreeForm]:
     """
     ports = {port.name for port in fits.fitted.structure.model.ports}
     likely = [place for place in places if place in ports]
-    likely = likely or likely_places(TestedResidual(fits.fitted, fits.ratio or 1.0), ports)
+    likely = likely or likely_places(TestedResidual(fits.fitted, 1.0), ports)
     found = {}
     for place in list(dict.fromkeys(likely))[:_PLACES]:
         # a predictor of high gain follows the motion of the record
-        curve = curve_at(fits.fitted, place, fits.ratio or 1.0)
+        curve = curve_at(fits.fitted, place, 1.0)
         if curve is not None:
-            found[place] = fit_free_form(fits.fitted, curve, fits.whitener, fits.ratio, rounds=_FIRST)
+            found[place] = fit_free_form(fits.fitted, curve, fits.whitener, rounds=_FIRST)
     return found
 
 
 def _static(fits: SingleFits) -> dict[str, tuple[float, list[Array]]]:
     """Return log-likelihood and residual of a curve at each input and output.
 
-    Channels that are ports are left out. Empty with process noise.
+    Channels that are ports are left out.
     """
     fitted, found = fits.fitted, dict[str, tuple[float, list[Array]]]()
-    if fits.ratio:  # the predictor follows any sensor
-        return found
     tested, model = TestedResidual(fitted, 0.0, fits.whitener), fitted.structure.linear_model
     held, p = fitted.blocks(), fitted.problem.n_theta
     ports = [port.name for port in fitted.structure.model.ports]
@@ -224,7 +225,7 @@ def _nearest(fits: SingleFits, form: FreeForm) -> tuple[tuple[Effect, float], ..
 
     Only effects at the place of the table count; the motion is that of the fit.
     """
-    d, v = motion_at(form.fitted, form.curve.place, fits.ratio)
+    d, v = motion_at(form.fitted, form.curve.place, 0.0)
     force = form.table(d, v)
     force = force - force.mean()
     w = np.concatenate([record.inputs for record in form.fitted.problem.records], axis=1)
@@ -240,3 +241,57 @@ def _nearest(fits: SingleFits, form: FreeForm) -> tuple[tuple[Effect, float], ..
             left = force - F @ np.linalg.lstsq(F, force, rcond=1e-10)[0]
             rows.append((effect, 100.0 * (1.0 - float(left @ left) / float(force @ force))))
     return tuple(sorted(rows, key=lambda row: -row[1]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HiddenForce(Result):
+    """Unknown force at a place, estimated without a force law.
+
+    The estimate comes from the record and the model.
+
+    Attributes
+    ----------
+    place : str
+        Port.
+    timepts : ndarray, shape (N,)
+        Time in s.
+    d, v : ndarray, shape (N,)
+        Displacement and velocity there, 0 where the port senses none.
+    force, std : ndarray, shape (N,)
+        Resisting force and its standard deviation. Its mean is no part of the estimate: it
+        passes for the offset.
+    position_unit, velocity_unit, force_unit : str
+        Units, "" where unknown.
+    """
+
+    place: str
+    timepts: Array
+    d: Array
+    v: Array
+    force: Array
+    std: Array
+    position_unit: str = ""
+    velocity_unit: str = ""
+    force_unit: str = ""
+
+    @picture
+    def plot(self, **options: Unpack[Look]) -> ct.ControlPlot:
+        """Plot the force over time, and over displacement and velocity.
+
+        The plot over time shows two standard deviations.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        return show(self, "plot", **options)
+
+
+def hidden_force(model: Refinement, noise: Array, port: Port, record: Measurement) -> HiddenForce:
+    """Estimate the force at a port over a record; see `estimated_force`."""
+    force, states, std = estimated_force(model, noise, port, record)
+    d = port.position @ states + port.position_input @ record.inputs
+    v = port.velocity @ states + port.velocity_input @ record.inputs
+    spread = 0.0 * force + std
+    units = (port.position_unit, port.velocity_unit, port.force_unit)
+    return HiddenForce(port.name, record.timepts, d, v, force, spread, *units)

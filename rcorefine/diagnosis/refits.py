@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..data.measurement import Measurement
-from ..effects.effect import Effect
+from ..effects.effect import Effect, unit_forces
+from ..engine.point import resting
 from ..engine.structure import Structure
 from ..inference.descent import Descent, descend
 from ..inference.fitted import FittedModel
 from ..inference.problem import Problem
 from ..inference.search import search, step_matters
-from ..inference.starts import Motion
+from ..inference.starts import Motion, shape_starts
 from ..systems.linear import Array
-from .hypothesis import Hypothesis, Recorded, Start, Trial, evidence, weighted
+from .hypothesis import Hypothesis, Start, Trial, evidence, likeliest_noise, weighted
 from .noise import Noise
 
-__all__ = ["Fitter"]
+__all__ = ["Fitter", "imitations"]
 
 _SHARES = (1.0, 0.4, 0.1)  # shares of the starting sizes: the linear solution may diverge
 _STEP = 0.25  # standard deviations that halving the substep may shift a coefficient
 _WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a jump is smoothed
 _NOISE_ROUNDS, _FINER, _WIDER = 3, 3, 4
+_IMITATED, _IMITATIONS = 0.6, 3  # most share of a force that an imitation leaves; imitations tried
 
 
 class Fitter:
@@ -51,13 +53,13 @@ class Fitter:
         self.fitted, self.motion, self.substeps = fitted, motion, 1
         self.before = fitted.residuals()
         self.cost = 0.5 * sum(float(np.sum(r**2)) for r in self.before)
-        self.recorded = Recorded.of(fitted.problem, colored)
+        self.noise_of = likeliest_noise(fitted.problem, colored)
 
     def scored(self, trial: Trial) -> Trial:
         """Return a trial with its noise and evidence."""
         ratio = trial.hypothesis.ratio
         before = trial.base.residuals(ratio) if ratio else self.before
-        return evidence(trial, before, self.recorded, self.fitted.problem.n_theta)
+        return evidence(trial, before, self.noise_of, self.fitted.problem.n_theta)
 
     def empty(self, hypothesis: Hypothesis, base: FittedModel) -> Trial:
         """Return the trial of a base without effects, with its own noise."""
@@ -294,3 +296,59 @@ def _descended(
         return descend(problem, point, evaluations=most, **given)
     run = descend(weighted(problem, noise), point, evaluations=most, **given)
     return descend(problem, run.point, gain=gain, evaluations=1) if np.isfinite(run.cost) else run
+
+
+def _shapes_of(
+    effect: Effect, structure: Structure, kinds: set[str], motion: Motion
+) -> list[dict[str, float]]:
+    """Return shaping coefficients, also those that imitate some kinds."""
+    one = Structure(structure.model, [effect])
+    names, shaping = [q.name for q in one.parameters], effect.spec.shaping
+    shapes = []
+    for start in shape_starts(one, one.start(), motion):
+        values = zip(names, map(float, start), strict=True)
+        shapes.append({name: value for name, value in values if name in shaping})
+    for kind in kinds & effect.spec.contains.keys():
+        shapes += [{n: effect.spec.contains[kind].get(n, v) for n, v in shapes[0].items()}]
+    return shapes
+
+
+def imitations(
+    trial: Trial, which: Sequence[int], others: Iterable[Effect], motion: Motion
+) -> list[tuple[Effect, dict[str, float]]]:
+    """Return the effects that imitate the force of some effects best.
+
+    Each comes with its coefficients. At most `_IMITATIONS` effects are returned, none that leaves more than
+    `_IMITATED` of the force.
+    """
+    along = [one for one in map(trial.force, which) if one is not None]
+    if len(along) < len(which):
+        return []
+    d, v, w, force = along[0]
+    force = force + sum(one[-1] for one in along[1:])
+    # re-estimated parameters take the linear part
+    linear = np.array([d, v]) if trial.hypothesis.floated else np.zeros((0, d.size))
+
+    def fitted(columns: Sequence[Array]) -> tuple[float, Array]:
+        """Return the sum of squares that columns leave, and their sizes."""
+        F = np.column_stack([*columns, *linear])
+        sizes = np.linalg.lstsq(F, force, rcond=1e-10)[0]
+        return float(np.sum((force - F @ sizes) ** 2)), sizes
+
+    whole = float(np.sum((force - linear.T @ np.linalg.lstsq(linear.T, force, rcond=1e-10)[0]) ** 2))
+    structure, place, options = trial.problem.structure, trial.effects[which[0]].place, []
+    kinds = {trial.effects[i].kind for i in which}
+    for other in others:
+        shapes = _shapes_of(other, structure, kinds, motion)
+        for shape in shapes:
+            free = [n for n in other.free if n not in shape]
+            columns = unit_forces(other, d, v, [shape], w, resting(structure, place))
+            if columns and len(columns) == len(free):
+                left, sizes = fitted(columns)
+                values = {**shape, **dict(zip(free, map(float, sizes), strict=False))}
+                options.append((left / whole, other, values))
+    best: dict[Effect, dict[str, float]] = {}
+    for left, other, values in sorted(options, key=lambda one: one[0]):
+        if left < _IMITATED and len(best) < _IMITATIONS:
+            best.setdefault(other, values)
+    return list(best.items())

@@ -8,12 +8,16 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from ..data.measurement import Measurement
+from ..data.response_record import ResponseRecord, coded
 from ..effects.effect import Effect
+from ..engine.response_engine import ResponseEngine
 from ..inference.basis import Basis, in_own_units, lengths, project
 from ..inference.f_tests import FTest, apart_test, f_test, projected_test
 from ..inference.fitted import FittedModel
+from ..inference.free_form import Curve
 from ..inference.levels import Levels
 from ..inference.sensitivities import (
     Candidate,
@@ -25,9 +29,18 @@ from ..inference.sensitivities import (
 from ..inference.starts import Motion
 from ..inference.whitening import Whitener, huber_weights
 from ..systems.linear import Array
-from .response_tests import response_tests
 
-__all__ = ["TestedResidual", "overall", "passed_without_library", "passes", "run_tests"]
+__all__ = [
+    "TestedResidual",
+    "in_race",
+    "in_rows",
+    "likely_places",
+    "over_frequency",
+    "overall",
+    "passed_without_library",
+    "passes",
+    "run_tests",
+]
 
 _LAGS = 41
 _POWER_LAGS = {2: 21, 3: 6}
@@ -132,22 +145,16 @@ class TestedResidual:
     def each(self, candidates: Sequence[Candidate]) -> list[FTest]:
         """F-test of each candidate on its own."""
         tests = []
-        for first in range(0, len(candidates), _TOGETHER):
-            tests += self._of_some(candidates[first : first + _TOGETHER])
-        return tests
-
-    def _of_some(self, candidates: Sequence[Candidate]) -> list[FTest]:
-        columns = [c.columns[self.ratio] for c in candidates]
-        joined = [np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True)]
-        white = in_own_units(self.whiten(joined))
-        size = lengths(white)
-        left = project(white, self.basis)
-        tests, first = [], 0
-        for candidate, parts in zip(candidates, columns, strict=True):
-            mine = slice(first, first + parts[0].shape[2])
-            test = projected_test(candidate.effect.label, self.left, left[:, mine], size[mine], self.basis)
-            tests.append(self._beside(test, white[:, mine]))
-            first = mine.stop
+        for some in (candidates[i : i + _TOGETHER] for i in range(0, len(candidates), _TOGETHER)):
+            columns = [c.columns[self.ratio] for c in some]
+            joined = [np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True)]
+            white = in_own_units(self.whiten(joined))
+            size, left, first = lengths(white), project(white, self.basis), 0
+            for candidate, parts in zip(some, columns, strict=True):
+                mine = slice(first, first + parts[0].shape[2])
+                name, first = candidate.effect.label, mine.stop
+                test = projected_test(name, self.left, left[:, mine], size[mine], self.basis)
+                tests.append(self._beside(test, white[:, mine]))
         return tests
 
     @cached_property
@@ -288,22 +295,20 @@ def _lagged(record: Measurement, at_once: NDArray[np.bool_], powers: dict[int, i
     return [np.reshape(own, (len(own), record.n_samples)).T for own in rows]
 
 
-def overall(tests: Sequence[FTest], equal: bool = False) -> float:
+def overall(tests: Sequence[FTest]) -> float:
     """Smallest p-value, corrected for the number of tests.
 
     Parameters
     ----------
     tests : sequence of FTest
         Tests of one residual; those without a degree of freedom do not count.
-    equal : bool
-        Whether to take all samples as equally noisy.
 
     Returns
     -------
     float
         0 where nothing could be tested: what was not tested has not passed.
     """
-    valid = [t.p_equal if equal else t.p_value for t in tests if t.dof]
+    valid = [t.p_value for t in tests if t.dof]
     return min(1.0, min(valid) * len(valid)) if valid else 0.0
 
 
@@ -328,3 +333,149 @@ def passes(tests: Sequence[FTest], excess: float, significance: float, levels: L
     bool
     """
     return overall(tests) >= significance and excess <= levels.noise_excess
+
+
+_SHORT_LAGS = 21
+_NEIGHBORS = 3
+_VALUES_PER_COLUMN = 5  # fewer say nothing about that many columns
+
+
+def response_tests(tested: TestedResidual) -> list[FTest]:
+    """Test the residual of frequency responses for any other pattern.
+
+    Each test has its own p-value.
+
+    Parameters
+    ----------
+    tested : TestedResidual
+        Residual under test.
+
+    Returns
+    -------
+    list of FTest
+        ``smooth error`` (a factor of any smooth form on each response), ``short response`` (anything
+        that dies out within a few samples), ``neighbors`` (points beside each other that err alike).
+    """
+    tests = [tested.test("smooth error", _smooth(tested)), tested.test("short response", _short(tested))]
+    return [*tests, _neighbors(tested)]
+
+
+def over_frequency(record: ResponseRecord) -> Array:
+    """Return piecewise linear functions of the logarithm of frequency.
+
+    They have the shape (n_omega, k), and neighboring values are similar.
+    """
+    along = np.log(record.omega)
+    curve = Curve.along("", along, np.zeros(along.size))
+    return np.asarray(curve.columns(along, np.zeros(along.size)) @ curve.root)
+
+
+def in_rows(record: ResponseRecord, points: Array) -> Array:
+    """Convert complex columns to real columns in the rows of a record.
+
+    The shape changes from (n_y, n_w, n_omega, k) to (n_y, N, k).
+    """
+    return np.stack([coded(column) / record.noise for column in np.moveaxis(points, -1, 0)], axis=-1)
+
+
+def _responses(tested: TestedResidual) -> list[tuple[ResponseEngine, ResponseRecord]]:
+    engines = tested.fitted.problem.engines
+    return [(engine, engine.data) for engine in engines if isinstance(engine, ResponseEngine)]
+
+
+def _smooth(tested: TestedResidual) -> list[Array]:
+    """Smooth complex factors on the response from each input to each output."""
+    weights, blocks = tested.fitted.problem.weights, []
+    for engine, record in _responses(tested):
+        model, shapes = engine.response(tested.fitted.theta, derivatives=False)[0], over_frequency(record)
+        most = max(record.omega.size // _VALUES_PER_COLUMN, 1)
+        shapes = shapes @ np.linalg.svd(shapes, full_matrices=False)[2].T[:, :most]
+        columns = []
+        for i, j in np.ndindex(model.shape[:2]):
+            one = np.zeros(model.shape, complex)
+            one[i, j] = model[i, j]
+            columns += [one[..., None] * shapes, 1j * one[..., None] * shapes]
+        blocks.append(weights[:, None, None] * in_rows(record, np.concatenate(columns, axis=-1)))
+    return blocks
+
+
+def _short(tested: TestedResidual) -> list[Array]:
+    """Responses of a few samples from each input to each output."""
+    weights, blocks = tested.fitted.problem.weights, []
+    for _, record in _responses(tested):
+        lags = np.arange(min(_SHORT_LAGS, max(record.omega.size // _VALUES_PER_COLUMN, 1)))
+        turns = np.exp(-1j * record.omega[:, None] * record.dt * lags)
+        columns = []
+        for i, j in np.ndindex(record.n_outputs, record.n_inputs):
+            one = np.zeros((record.n_outputs, record.n_inputs, *turns.shape), complex)
+            one[i, j] = turns
+            columns.append(one)
+        blocks.append(weights[:, None, None] * in_rows(record, np.concatenate(columns, axis=-1)))
+    return blocks
+
+
+def _neighbors(tested: TestedResidual) -> FTest:
+    """Test whether errors at neighboring frequencies are correlated.
+
+    The statistic is the sum of the products of neighbors, relative to their size. The test is one-sided,
+    because a missing effect makes neighboring errors similar.
+    """
+    products = []
+    first = 0
+    for _, record in _responses(tested):
+        rows = tested.left[first : first + record.noise.size].reshape(-1, record.omega.size)
+        first += record.noise.size
+        products += [(rows[:, lag:] * rows[:, :-lag]).ravel() for lag in range(1, _NEIGHBORS + 1)]
+    all_ = np.concatenate(products)
+    size = float(np.sqrt(all_ @ all_))
+    statistic = float(all_.sum()) / size if size > 0 else 0.0
+    p_value = float(stats.norm.sf(statistic))
+    return FTest("neighbors", statistic, 1, p_value, max(statistic, 0.0) ** 2, p_value)
+
+
+_MOST_PLACES = 8  # up to so many places all are kept: fits cost less than a wrong choice
+_KEPT = 3  # places kept for each residual; twice as many for effects with a motion of their own
+
+
+def in_race(fitted: FittedModel, library: Sequence[Effect], ratios: Sequence[float]) -> list[Effect]:
+    """Return the candidates at the places where a free force explains most.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+        Model at its minimum.
+    library : sequence of Effect
+        Candidate effects.
+    ratios : sequence of float
+        Observer ratios of the tested residuals, 0 for the free run. The free run suits weak effects, the
+        estimated motion strong ones.
+
+    Returns
+    -------
+    list of Effect
+        Candidates in the order of the library; all of them for few places or for frequency responses.
+        Effects at inputs, outputs and entries of A are always kept. Effects with a motion of their own are
+        kept at more places, since a force along the motion only approximates them.
+    """
+    ports = {port.name for port in fitted.structure.model.ports}
+    places = {effect.place for effect in library if effect.place in ports}
+    if len(places) <= _MOST_PLACES or not fitted.problem.in_time:
+        return list(library)
+    orders = [likely_places(TestedResidual(fitted, ratio), places) for ratio in ratios]
+    near, far = ({place for order in orders for place in order[:count]} for count in (_KEPT, 2 * _KEPT))
+    return [
+        effect
+        for effect in library
+        if effect.place not in ports or effect.place in (far if effect.spec.secant else near)
+    ]
+
+
+def likely_places(tested: TestedResidual, places: set[str]) -> list[str]:
+    """Return places, first the one where a free force explains most."""
+    names, blocks = tested.generic
+    tests = []
+    for place in dict.fromkeys(names):
+        if place in places:
+            mine = np.array([name == place for name in names])
+            tests.append(tested.test(place, [block[:, :, mine] for block in blocks]))
+    return [t.name for t in sorted(tests, key=lambda t: (t.p_value, -t.statistic))]

@@ -15,16 +15,17 @@ from ..effects.effect import Effect
 from ..exceptions import IdentifiabilityWarning, ModelError, unheard
 from ..inference.f_tests import FTest
 from ..inference.refinement import EstimatedParameter, Refinement
-from ..results import Look, Reported, Row, picture, show
-from .checks.row import CheckRow
-from .hidden_force import HiddenForce, hidden_force
-from .open_law import OpenLaw
+from ..results import Look, Options, Reported, ReportedModel, Row, picture, show
+from ..systems.linear import Array
+from ..words import with_error
+from .check_rows import CheckRow, Detectable
+from .open_law import HiddenForce, OpenLaw, hidden_force
 from .words import sentences
 
 if TYPE_CHECKING:
-    from .experiment_design.result import ExperimentAdvice
+    from .experiments import ExperimentAdvice
 
-__all__ = ["Detectable", "Diagnosis", "RankedEffect"]
+__all__ = ["Diagnosis", "Improvement", "RankedEffect", "Step", "next_step"]
 
 _EXCLUDED = 0.01  # probability below which a place is none
 
@@ -82,24 +83,11 @@ class RankedEffect(Row):
     @property
     def estimates(self) -> list[tuple[Effect, dict[str, EstimatedParameter]]]:
         """Each effect with the rows of its coefficients by name."""
-        rows = self.refinement.parameters
+        rows = [row for row in self.refinement.parameters if row.role == "effect"]
         return [
-            (e, {r.name: r for r in rows if (r.kind, r.place, r.role) == (e.kind, e.place, "effect")})
+            (e, {row.name: row for row in rows if (row.kind, row.place) == (e.kind, e.place)})
             for e in self.effects
         ]
-
-
-@dataclass(frozen=True, slots=True)
-class Detectable(Row):
-    """Smallest coefficient of an effect that the record would have shown.
-
-    The power of detection is 95 %.
-    """
-
-    effect: Effect
-    coefficient: str
-    smallest: float
-    unit: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -358,24 +346,14 @@ class Diagnosis(Reported):
         >>> print(found.suggest_experiment().message)
         Nothing to separate: no test fires, and no candidate comes near.
         """
-        from .experiment_design.suggest import suggest
+        from .experiments import suggest
 
         if self.base.of_responses:
             raise ModelError(
                 "experiments are planned for records in time; of frequency responses more outputs, a wider "
                 "band or other amplitudes tell candidates apart"
             )
-        return suggest(
-            self,
-            probability=probability,
-            repeat=repeat,
-            amplitudes=amplitudes,
-            lengths=lengths,
-            bands=bands,
-            sensors=sensors,
-            costs=costs,
-            largest_input=largest_input,
-        )
+        return suggest(self, probability, repeat, amplitudes, lengths, bands, sensors, costs, largest_input)
 
     def ordered_records(self) -> list[Measurement]:
         """The records, channels in the order of the model.
@@ -408,3 +386,172 @@ class Diagnosis(Reported):
         ControlPlot
         """
         return show(self, "plot", **options)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step(Row):
+    """One step of the improvement.
+
+    Attributes
+    ----------
+    effect : Effect or None
+        What was added (None for the start, and where the model's own numbers were fitted).
+    action : str
+        "start", "parameters" (the numbers of the model float from here on), "add", "pair" (added
+        together with the row before), "swap", "drop".
+    train_rmse, choice_rmse, validation_rmse : ndarray, shape (n_y,)
+        Root mean square error of the free run on the part that was fitted, on the part
+        on which the step was chosen, and on the held-out data.
+    coefficients, std : dict
+        Of the effect, after all effects of this step were fitted together.
+    verdict : str
+        Verdict of the diagnosis that led to this step; for the last one see
+        `Improvement.verdict`.
+    rivals : tuple of Effect
+        Effects that explained the same alike.
+    refinement : Refinement
+        Model after this step.
+    """
+
+    effect: Effect | None
+    action: str
+    train_rmse: Array
+    choice_rmse: Array
+    validation_rmse: Array
+    coefficients: dict[str, float]
+    std: dict[str, float]
+    verdict: str
+    rivals: tuple[Effect, ...]
+    refinement: Refinement
+
+    @property
+    def name(self) -> str:
+        """Action of the step, in words."""
+        if self.effect is None:
+            return "initial model" if self.action == "start" else self.action
+        return f"{self.action} {self.effect.label}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Improvement(ReportedModel):
+    """Steps from the initial model to the improved one.
+
+    Attributes
+    ----------
+    steps : tuple of Step
+        The start, then one row per effect that earned its place.
+    verdict : str
+        Verdict on the last model: "adequate", or why the improvement ends.
+    message : str
+        Why it ended, in words.
+    output_labels, output_units : tuple of str
+        Names and units of the outputs, units "" where unknown.
+    notes : tuple of str
+        What was noticed about the record: its parts, its hold.
+    checks : tuple of CheckRow
+        What `check` finds odd about the records, or the first model beside them.
+    """
+
+    steps: tuple[Step, ...]
+    verdict: str
+    message: str
+    output_labels: tuple[str, ...]
+    output_units: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    checks: tuple[CheckRow, ...] = ()
+
+    @property
+    def refinement(self) -> Refinement:
+        """Model after the last step.
+
+        Its `hold` is the one that was found to suit the inputs.
+        """
+        return self.steps[-1].refinement
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects in the last model that were asked for."""
+        last = self.refinement
+        return tuple(e for e, role in zip(last.effects, last.roles, strict=True) if role == "effect")
+
+    def sentences(self) -> list[str]:
+        """Return the steps and the outcome, one sentence each.
+
+        Returns
+        -------
+        list of str
+        """
+        first, last = self.steps[0], self.steps[-1]
+        lines = []
+        for i, label in enumerate(self.output_labels):
+            before, after = first.validation_rmse[i], last.validation_rmse[i]
+            unit = f" {self.output_units[i]}" if self.output_units[i] else ""
+            fell = f" -> {after:.4g}{unit} ({100 * (after / before - 1):+.0f} %)" if before > 0 else unit
+            error = f"{before:.4g}{fell if len(self.steps) > 1 else unit}"
+            lines.append(f"Error of {label} on held-out data: {error}.")
+        for i, step in enumerate(self.steps):
+            if step.effect is not None and step.rivals and step.action != "drop":
+                others = ", ".join(effect.label for effect in step.rivals)
+                lines.append(f"Step {i}: the data cannot distinguish {step.effect.label} from {others}.")
+        lines.append(self.message)
+        return [*lines, *self._estimates(), *self.notes]
+
+    def _estimates(self) -> list[str]:
+        """Return a sentence on the estimates of the last model.
+
+        The list is empty where the table holds all of them.
+        """
+        rows = [row for row in self.refinement.parameters if row.role != "offset"]
+        if len(rows) < 2 and not any(row.role == "linear" for row in rows):
+            return []
+        told = [f"{r.name} at {r.place} {r.initial:g} -> {with_error(r.value, r.std, r.unit)}" for r in rows]
+        return [f"Estimates of the last model, initial -> value +/- std: {'; '.join(told)}."]
+
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
+        """The staircase of held-out error, the effect's name on each step.
+
+        Parameters
+        ----------
+        ax : Axes, optional
+            Where to draw.
+        label : str, optional
+            Label of the held-out line.
+        legend_loc : str or False, optional
+            Place of the legend, by default "upper right"; False for none.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        return show(self, "plot", **options)
+
+
+def next_step(found: Diagnosis | Improvement) -> str:
+    """Return the next step after a verdict, as a line of Python.
+
+    The line calls the result ``found``.
+
+    Parameters
+    ----------
+    found : Diagnosis or Improvement
+        Result.
+
+    Returns
+    -------
+    str
+    """
+    better = "better = found.refine(); print(better)"
+    if isinstance(found, Improvement):
+        return better.replace("refine()", "refinement") if len(found.steps) > 1 else "found.plot()"
+    if found.verdict == "adequate" and found.left_to_noise:  # numbers that are far off leave the same
+        return 'print(rco.refine(found.base, found.records, free="linear", tolerance=0.5))'
+    if found.verdict == "adequate":
+        return "rco.compare(found.base, found.records[0]).plot()  # what is left to noise"
+    if found.verdict == "ambiguous" and not found.base.of_responses:
+        return "print(found.suggest_experiment())"
+    if found.verdict != "unexplained":
+        return better
+    if found.open_law is not None:
+        return "print(rco.refine(found.base, found.records, [found.law()]))"
+    return "found.plot()  # the force against the motion, and what is left over"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from ..inference.whitening import Whitener
 from ..systems.linear import Array
 from .hypothesis import Start
 
-__all__ = ["Group", "Metric", "Screen", "compatible"]
+__all__ = ["Metric", "Screen", "compatible"]
 
 _FLAT = 1e-4  # least share of a column outside the span of parameters, offsets and initial states
 _MOST_RECORDS = 8  # most records whose initial states are solved for together
@@ -63,13 +63,6 @@ class Metric(NamedTuple):
     ratio: float = 0.0
 
 
-class Numbers(NamedTuple):
-    """Parameters of the model with their prior standard deviations."""
-
-    effects: list[Effect]
-    sd: Array
-
-
 class Screen:
     """First-order comparison of sets of effects at a fitted model.
 
@@ -81,8 +74,8 @@ class Screen:
         Point of the linearization.
     candidates : sequence of Candidate
         Candidate effects with their columns.
-    numbers : Numbers
-        Parameters that may be re-estimated together with the effects.
+    numbers : dict
+        Prior standard deviation of each parameter that may be re-estimated together with the effects.
     metric : Metric
         Metric of residuals.
     motion : Motion
@@ -93,11 +86,11 @@ class Screen:
         self,
         fitted: FittedModel,
         candidates: Sequence[Candidate],
-        numbers: Numbers,
+        numbers: dict[Effect, float],
         metric: Metric,
         motion: Motion,
     ) -> None:
-        self.fitted, self.metric, self.number_sd = fitted, metric, numbers.sd
+        self.fitted, self.metric, self.number_sd = fitted, metric, np.array(list(numbers.values()))
         blocks, problem = fitted.blocks(metric.ratio), fitted.problem
         p, sd = problem.n_theta, problem.prior_sd
         self._judged = problem.judged(fitted.theta)
@@ -110,9 +103,9 @@ class Screen:
         columns = np.concatenate([j[:, :p][:, held] for j in jacobian]) * self.held_sd
         at_prior = (fitted.theta[held] - problem.prior_mean[held]) / self.held_sd
         parts = [(r - columns @ at_prior)[:, None], columns]
-        self.n_held, self.n_numbers = columns.shape[1], len(numbers.effects)
-        if numbers.effects:
-            found = parameter_columns(fitted, numbers.effects, motion, metric.ratio)
+        self.n_held, self.n_numbers = columns.shape[1], len(numbers)
+        if numbers:
+            found = parameter_columns(fitted, list(numbers), motion, metric.ratio)
             parts.append(self.white(found) * self.number_sd)
         self.n_parameters = self.n_held + self.n_numbers
         self.groups: list[Group] = []
@@ -312,35 +305,30 @@ def _groups_of(candidate: Candidate, ratio: float) -> list[tuple[Group, list[Arr
     """Return the groups of a candidate with their blocks (n_y, N, k)."""
     if ratio not in candidate.columns:
         return []
-    effect, blocks, none = candidate.effect, candidate.columns[ratio], slice(0, 0)
-    law, k = effect.spec, candidate.columns[ratio][0].shape[2]
-    p = candidate.fitted.problem.n_theta
+    law, blocks, p = candidate.effect.spec, candidate.columns[ratio], candidate.fitted.problem.n_theta
+    k = blocks[0].shape[2]
     own = [q.name for q in candidate.problem.structure.parameters[p:]]
     starts = [dict(zip(own, map(float, start[p : p + len(own)]), strict=True)) for start in candidate.starts]
+    linear = [j for j, n in enumerate(own) if n not in law.shaping]
+    whole = law.at_channel or not law.shaping or len(own) == len(linear)
+    found: list[tuple[dict[str, float], list[str], Any]] = []  # known values, names of the columns, columns
     if law.secant:
-        each = min(k, len(starts))
-        return [
-            (Group(effect, starts[i], [], none), [b[:, :, i : i + 1] for b in blocks]) for i in range(each)
-        ]
-    linear = [i for i, n in enumerate(own) if n not in law.shaping]
-    names, found = [own[i] for i in linear], []
-    whole = law.at_channel or not law.shaping or len(own) == len(names)
-    if k == len(own) * len(starts) and whole:  # one column for each coefficient at each start
+        found = [(start, [], slice(i, i + 1)) for i, start in enumerate(starts[:k])]
+    elif k == len(own) * len(starts) and whole:  # one column for each coefficient at each start
         kept = linear or list(range(len(own)))
         for i, start in enumerate(starts):
             shape = {n: v for n, v in start.items() if n in law.shaping} if linear else {}
-            pick = [i * len(own) + j for j in kept]
-            found.append(
-                (Group(effect, shape, [own[j] for j in kept], none), [b[:, :, pick] for b in blocks])
-            )
-        return found
-    shapes = _shapes(candidate)
-    each = max(k // max(len(shapes), 1), 1)
-    names = names if len(names) == each else []
-    for i in range(min(len(shapes), k // each)):
-        pick = list(range(i * each, (i + 1) * each))
-        found.append((Group(effect, shapes[i], names, none), [b[:, :, pick] for b in blocks]))
-    return found
+            found.append((shape, [own[j] for j in kept], [i * len(own) + j for j in kept]))
+    else:
+        shapes = _shapes(candidate)
+        each = max(k // max(len(shapes), 1), 1)
+        names = [own[j] for j in linear] if len(linear) == each else []
+        for i, shape in enumerate(shapes[: k // each]):
+            found.append((shape, names, list(range(i * each, (i + 1) * each))))
+    return [
+        (Group(candidate.effect, values, names, slice(0, 0)), [b[:, :, pick] for b in blocks])
+        for values, names, pick in found
+    ]
 
 
 def _argument(effect: Effect) -> str:

@@ -4,81 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from functools import cached_property
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..data.measurement import HOLDS
 from ..data.records import at_rest
-from ..effects.effect import Effect, unit_forces
-from ..engine.point import resting
-from ..engine.structure import Structure
+from ..effects.effect import Effect
 from ..exceptions import DivergenceError, ModelError
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
-from ..inference.levels import Levels
 from ..inference.sensitivities import candidate_columns
-from ..inference.starts import estimated_motion, shape_starts
+from ..inference.starts import estimated_motion
 from ..inference.whitening import Whitener
-from .beside import Beside
+from .beside import Beside, FreeStiffness
 from .case import Case, not_held
-from .free_stiffness import FreeStiffness
 from .hypothesis import Hypothesis, Start, Trial
-from .nuisances import Hold, NoisyInputs, Nuisance, Parameters, UnmeasuredForce, between_steps, parameters_of
-from .places import in_race
-from .refits import Fitter
-from .residual_tests import TestedResidual, passed_without_library, run_tests
-from .screening import Metric, Numbers, Screen, compatible
+from .nuisances import (
+    Hold,
+    NoisyInputs,
+    Nuisance,
+    Parameters,
+    UnmeasuredForce,
+    between_steps,
+    likely_forces,
+    parameters_of,
+)
+from .refits import Fitter, imitations
+from .residual_tests import in_race, passed_without_library, run_tests
+from .screening import Metric, Screen, compatible
 
-__all__ = ["Criticism", "Search", "is_gain", "is_number", "likely_forces"]
-
-_SIZES = (0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.128)  # ratios of the unmeasured to the measured force
-_AT = ("everywhere", "inputs")
-
-
-def likely_forces(
-    fitted: FittedModel, free_run: TestedResidual, least: float, levels: Levels
-) -> list[TestedResidual]:
-    """Return the residuals with likely unmeasured forces, the best first.
-
-    The force acts at the inputs or everywhere, with one of several sizes.
-
-    Parameters
-    ----------
-    fitted : FittedModel
-        Model at its minimum.
-    free_run : TestedResidual
-        Residual of its free run, without such a force.
-    least : float
-        Least gain in log-likelihood.
-    levels : Levels
-        Levels; within `force_size` of the best log-likelihood, a size is likely.
-
-    Returns
-    -------
-    list of TestedResidual
-        Residuals of the Kalman predictor; empty if no force gains more than `least`.
-    """
-    found: list[TestedResidual] = []
-    for at in _AT:
-        top = -np.inf
-        for ratio in _SIZES:
-            try:
-                led = TestedResidual(fitted.forced(at), ratio)
-            except (np.linalg.LinAlgError, ValueError):
-                continue
-            if np.isfinite(led.log_likelihood):
-                found.append(led)
-                top = max(top, led.log_likelihood)
-            if not led.log_likelihood >= top - 3 * levels.force_size:
-                break  # larger forces are still less likely
-    best = max((led.log_likelihood for led in found), default=-np.inf)
-    if best <= free_run.log_likelihood + least:
-        return []
-    near = [led for led in found if led.log_likelihood >= best - levels.force_size]
-    return sorted(near, key=lambda led: -led.log_likelihood)
-
+__all__ = ["Search", "is_gain", "is_number"]
 
 FITTED_SPREAD = 0.2  # prior standard deviation of re-estimated parameters, relative to their size
 _SOUGHT, _BATCH = 4, 2  # effects of each ranking sought in another local minimum; of them at a time
@@ -90,7 +47,6 @@ _NEAR = 60.0  # log evidence below the best within which a trial is polished
 _POLISHED = 4
 _RIVALS = 10.0  # log evidence below the best within which an unmeasured force is tried
 _FORCE = 3.0  # least gain in log-likelihood for an unmeasured force to be tried
-_IMITATED, _IMITATIONS = 0.6, 3  # most share of a force that an imitation leaves; imitations tried
 
 
 class Criticism(NamedTuple):
@@ -130,38 +86,29 @@ class Search:
     ----------
     trials : list of Trial
         Fitted hypotheses, one fit each.
+    opened : frozenset of Nuisance
+        The nuisance of re-estimated parameters, if there are any.
     """
 
     def __init__(self, case: Case, most: int = MOST + 1, *, colored: bool = True, alone: bool = True) -> None:
         self.case, self.most, self.colored = case, most, colored
         self.fitted, self.motion = case.fitted, case.motions[0]
+        self.fitter = Fitter(case.fitted, case.motions[0], colored)
         self.trials: list[Trial] = []
+        #: parameters of the model with their prior standard deviations
+        self.numbers = {effect: FITTED_SPREAD * size for effect, size in parameters_of(case)}
+        self.opened = frozenset[Nuisance]([Parameters(FITTED_SPREAD)] if self.numbers else [])
         # a parameter that is no candidate may still be the only wrong one
-        more = not_held([e for e, _ in parameters_of(case)], case.library) if alone else []
+        more = not_held(list(self.numbers), case.library) if alone else []
         self.library = [*case.library, *more]
         self.price = float(np.log(max(len(self.library), 2)))
-        self.parameters = Parameters(FITTED_SPREAD)
         # a free decay has no input that could be held or noisy, and no force by its definition: the
         # predictor of an unmeasured force takes the error of any model there for that force
         self.driven = case.in_time and not at_rest(case.ordered)
         self._bases: dict[frozenset[Nuisance], FittedModel] = {frozenset(): self.fitted}
         self._criticism: dict[Trial, Criticism] = {}
         self._done: set[Any] = set()
-
-    @cached_property
-    def fitter(self) -> Fitter:
-        """Return the fitter of hypotheses."""
-        return Fitter(self.fitted, self.motion, self.colored)
-
-    @cached_property
-    def numbers(self) -> list[tuple[Effect, float]]:
-        """Return the parameters of the model with their nominal sizes."""
-        return parameters_of(self.case)
-
-    @property
-    def opened(self) -> frozenset[Nuisance]:
-        """Return the nuisance of re-estimated parameters, if there are any."""
-        return frozenset([self.parameters] if self.numbers else [])
+        self._polished: dict[Trial, int] = {}  # substeps that sufficed then
 
     def base(self, nuisances: frozenset[Nuisance]) -> FittedModel:
         """Return the model fitted with these nuisances."""
@@ -218,6 +165,12 @@ class Search:
         base = self.base(nuisances)
         return self.add(self.fitter.fit(Hypothesis(tuple(effects), nuisances), base, starts, **options))
 
+    def again(self, trial: Trial, nuisances: frozenset[Nuisance]) -> Trial | None:
+        """Refit a trial with other nuisances, from its point."""
+        if not trial.effects:
+            return self.empty(nuisances)
+        return self.try_(trial.effects, nuisances, [trial.start], noise=trial.noise)
+
     def empty(self, nuisances: frozenset[Nuisance]) -> Trial | None:
         """Add the model with these nuisances and no effect; None if it diverges."""
         try:
@@ -230,7 +183,7 @@ class Search:
 
         A parameter of the model cannot: it is re-estimated already.
         """
-        held = {(e.kind, e.place) for e, _ in self.numbers}
+        held = {(e.kind, e.place) for e in self.numbers}
         return not is_number(effect) or (is_gain(effect) and (effect.kind, effect.place) not in held)
 
     def first_time(self, *key: Any) -> bool:
@@ -267,31 +220,39 @@ class Search:
                 self._sets([*screens, *self._screens_beside(near)])
             self._cores(self.ranked()[:4])
             self.polish()
-        for _ in range(_ROUNDS):
-            before = self.best
-            if self.passed(before) or len(before.effects) >= self.most:
-                break
-            with step("effects beside the best ones"):
-                self.relinearized(before)
-            self._cores(self.ranked()[:4])
-            self.polish()
-            if self.best is before:
-                break
+        self._further()
         if self.colored and self.driven and (self.best.effects or not self.passed(self.best)):
             with step("noise of the inputs, unmeasured forces"):
                 self._noisy_inputs()
                 self._forces()
             self.polish()
         with step("other names"):
-            for _ in range(_ROUNDS):
-                before = self.best
-                self._without_parameters()
-                self._prune()
-                self._names()
-                if self.best is before:
-                    break
+            self._rename()
         self.polish()
         return self
+
+    def _further(self) -> None:
+        """Add effects to the best set while it fails its tests and improves."""
+        for _ in range(_ROUNDS):
+            before = self.best
+            if self.passed(before) or len(before.effects) >= self.most:
+                return
+            with self.case.progress.step("effects beside the best ones"):
+                self.relinearized(before)
+            self._cores(self.ranked()[:4])
+            self.polish()
+            if self.best is before:
+                return
+
+    def _rename(self) -> None:
+        """Refit the best set with fewer effects, and under other names."""
+        for _ in range(_ROUNDS):
+            before = self.best
+            self._without_parameters()
+            self._prune()
+            self._names()
+            if self.best is before:
+                return
 
     def _screens(self, fitted: FittedModel, effects: Sequence[Effect], strong: bool) -> list[Screen]:
         """Return screens at a model in up to four metrics.
@@ -300,10 +261,8 @@ class Search:
         `strong`, a screen along the estimated motion is added (observer ratio 1).
         """
         scored = candidate_columns(fitted, effects, self.motion, (0.0, 1.0) if strong else (0.0,))
-        residual, noise = fitted.residuals(), self.fitter.recorded.noise
-        entries = self.numbers if fitted is self.fitted else []  # else the model has them already
-        sd = FITTED_SPREAD * np.array([size for _, size in entries])
-        numbers = Numbers([e for e, _ in entries], sd)
+        residual, noise = fitted.residuals(), self.fitter.noise_of
+        numbers = self.numbers if fitted is self.fitted else {}  # else the model has them already
 
         def made(metric: Metric) -> Screen:
             return Screen(fitted, scored, numbers, metric, self.motion)
@@ -326,8 +285,8 @@ class Search:
 
         Empty unless the parameters raise the log evidence by at least `_NEAR`: only then the columns differ.
         """
-        empty = {x.hypothesis: x for x in self.trials if not x.effects}
-        nothing, opened = (empty.get(Hypothesis((), n)) for n in (frozenset[Nuisance](), self.opened))
+        empty = {x.hypothesis.nuisances: x for x in self.trials if not x.effects}
+        nothing, opened = empty.get(frozenset()), empty.get(self.opened)
         if not self.opened or nothing is None or opened is None or opened.total < nothing.total + _NEAR:
             return []
         strong = self.case.in_time and opened.model.refinement.fit.min() < _STRONG
@@ -343,8 +302,7 @@ class Search:
         likely = [screen.beam(1, False, self.price)[: _SINGLES + 1] for screen in screens]
         effects = [groups[0].effect for ranked in likely for _, groups in ranked if groups]
         self._each(effects, screens)
-        places = {e.place for e in self.best.effects}
-        self._each(self._relatives(screens[0], places), screens)
+        self._each(self._relatives(screens[0]), screens)
         # the fit without the effect may be in another local minimum
         # the screen along the estimated motion is not bound to this minimum
         nearest = [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
@@ -355,15 +313,16 @@ class Search:
             for trial in self.case.progress.map(self.fitter.sought, batch, "from another valley"):
                 self.add(trial)
 
-    def _relatives(self, screen: Screen, places: set[str]) -> list[Effect]:
-        """Return the effects at given places.
+    def _relatives(self, screen: Screen) -> list[Effect]:
+        """Return the effects at the places of the best set.
 
-        If the best set has a linear effect at a channel, the linear effects of all channels are included. At
-        either end of a signal path they act in the same way.
+        If it has a linear effect at a channel, the linear effects of all channels are included. At either end
+        of a signal path they act in the same way.
         """
-        channel = any(e.spec.at_channel and e.spec.linear for e in self.best.effects)
+        places = {e.place for e in self.best.effects}
+        channel = any(map(_of_channel, self.best.effects))
         effects = [g.effect for g in screen.groups]
-        return [e for e in effects if e.place in places or (channel and e.spec.at_channel and e.spec.linear)]
+        return [e for e in effects if e.place in places or (channel and _of_channel(e))]
 
     def _each(self, effects: Sequence[Effect], screens: Sequence[Screen]) -> None:
         """Fit single effects in the model as it is, each only once."""
@@ -389,7 +348,7 @@ class Search:
 
     def _sets(self, screens: Sequence[Screen]) -> None:
         """Fit sets of effects with the parameters; refit the best four longer."""
-        base, begun, tasks = self.base(self.opened), list[Trial](), []
+        base, tasks = self.base(self.opened), []
         for screen in screens:
             usable = screen.beam(
                 min(MOST, self.most), True, self.price, usable=lambda g: self.is_open(g.effect)
@@ -399,12 +358,11 @@ class Search:
                 if self.first_time("set", frozenset(effects)):
                     start = screen.start(groups, bool(self.opened), base)
                     tasks.append((Hypothesis(effects, self.opened), base, start))
-        begun = [
-            x for x in self.case.progress.map(self.fitter.together, tasks, "sets of effects") if x is not None
-        ]
-        for trial in begun:
+        begun = self.case.progress.map(self.fitter.together, tasks, "sets of effects")
+        known = [trial for trial in begun if trial is not None]
+        for trial in known:
             self.add(trial)
-        for trial in self.ranked(begun)[:4]:
+        for trial in self.ranked(known)[:4]:
             self.try_(trial.effects, trial.hypothesis.nuisances, [trial.start])
 
     def _beside_parameters(self, trial: Trial) -> None:
@@ -433,17 +391,16 @@ class Search:
         known = len(self.trials)
         if any(not self.is_open(effect) for effect in trial.effects):  # it is re-estimated with all others
             return []
-        fitted, open_ = trial.model, trial.hypothesis.floated
+        fitted = trial.model
         rest = not_held(self.case.library, fitted.structure.effects)
         scored = candidate_columns(fitted, [e for e in rest if self.is_open(e)], self.motion, (0.0,))
-        entries = [] if open_ else self.numbers
-        numbers = Numbers([e for e, _ in entries], FITTED_SPREAD * np.array([size for _, size in entries]))
+        numbers = {} if trial.hypothesis.floated else self.numbers
         here, nuisances = trial.start, trial.hypothesis.nuisances | self.opened
         if len(here.theta) < self.base(nuisances).problem.n_theta:
             mean = self.base(nuisances).problem.prior_mean[len(here.theta) :]
             here = replace(here, theta=np.concatenate([here.theta, mean]))
         residual = fitted.residuals()
-        own = self.fitter.recorded.noise(residual)
+        own = self.fitter.noise_of(residual)
         for metric in (Metric(Whitener.fit(residual, order=0)), Metric(own.whitener, own.weights)):
             screen = Screen(fitted, scored, numbers, metric, self.motion)
             alone, pairs = (
@@ -459,38 +416,31 @@ class Search:
                     self.try_(effects, nuisances, starts, noise=trial.noise)
         return self.trials[known:]
 
-    def climbed(self, trial: Trial) -> list[Trial]:
-        """Fit further effects at a trial and their determined subsets; return all."""
-        known = len(self.trials)
+    def climbed(self, trial: Trial) -> None:
+        """Fit further effects at a trial, and their determined subsets."""
         self._cores(self.relinearized(trial))
-        return self.trials[known:]
-
-    def _other_holds(self) -> list[frozenset[Nuisance]]:
-        """Return the nuisances of the holds that are not declared.
-
-        Each has the parameters held and re-estimated. Empty if the records declare several holds, or if no
-        input changes.
-        """
-        model, records = self.case.base.physical_model, self.case.records
-        declared = model.hold or records[0].hold
-        several = model.hold is None and any(record.hold != declared for record in records)
-        if not (self.colored and self.driven) or several:
-            return []
-        opened = dict.fromkeys((frozenset[Nuisance](), self.opened))
-        return [frozenset([Hold(hold), *more]) for hold in HOLDS for more in opened if hold != declared]
 
     def _holds(self) -> None:
-        """Fit the model and the best two sets with the other holds."""
-        bases = self._other_holds()
+        """Fit the model and the best two sets with each hold that is not declared.
+
+        The parameters are held, and re-estimated. Nothing is done if the records declare several holds, or if
+        no input changes.
+        """
+        model = self.case.base.physical_model
+        holds = {model.hold or record.hold for record in self.case.records}
+        if not (self.colored and self.driven) or len(holds) > 1:
+            return
+        others = [Hold(hold) for hold in HOLDS if hold not in holds]
         with self.case.progress.step("holds of the input"):
-            for nuisances in bases:
+            for hold, more in product(others, dict.fromkeys((frozenset[Nuisance](), self.opened))):
+                nuisances = frozenset([hold, *more])
                 trial = self.empty(nuisances)
                 if trial is None or self.posterior(trial) < self.posterior(self.best) - _NEAR:
                     continue
                 floated = trial.hypothesis.floated
                 leaders = [x for x in self.ranked() if x.effects and x.hypothesis.floated == floated]
                 for other in leaders[:2]:
-                    self.try_(other.effects, nuisances, [other.start], noise=other.noise)
+                    self.again(other, nuisances)
 
     def _leaders(self) -> list[Trial]:
         """Return the best trial, two with fewer effects, and those with none."""
@@ -505,11 +455,7 @@ class Search:
         if all(np.array_equal(between_steps(r.inputs), r.inputs) for r in self.fitted.problem.records):
             return
         for trial in self._leaders():
-            nuisances = trial.hypothesis.nuisances | {noisy}
-            if trial.effects:
-                self.try_(trial.effects, nuisances, [trial.start], noise=trial.noise)
-            else:
-                self.empty(nuisances)
+            self.again(trial, trial.hypothesis.nuisances | {noisy})
 
     def _forces(self) -> None:
         """Refit the most probable trials with an unmeasured force."""
@@ -517,15 +463,11 @@ class Search:
         for trial in dict.fromkeys([*self._leaders(), *near[:4]]):
             if trial.hypothesis.ratio:
                 continue
-            likely = likely_forces(trial.model, TestedResidual(trial.model), _FORCE, self.case.levels)
+            likely = likely_forces(trial, _FORCE, self.case.levels)
             for one in likely[:1]:
                 force = UnmeasuredForce(one.fitted.force_at, one.ratio)
-                nuisances = trial.hypothesis.nuisances | {force}
-                if not trial.effects:
-                    self.empty(nuisances)
-                    continue
-                led = self.try_(trial.effects, nuisances, [trial.start], noise=trial.noise)
-                if led is not None and led is self.best:  # it may have found a better minimum
+                led = self.again(trial, trial.hypothesis.nuisances | {force})
+                if trial.effects and led is not None and led is self.best:  # it may be at a better minimum
                     self.try_(trial.effects, trial.hypothesis.nuisances, [led.start], noise=led.noise)
 
     def _without(self, trial: Trial, kept: Iterable[int]) -> None:
@@ -594,83 +536,43 @@ class Search:
 
     def _at_other_ends(self, trial: Trial, i: int) -> list[tuple[Effect, dict[str, float]]]:
         """Return the same linear channel effect at the other channels."""
-        first = trial.effects[i]
-        linear = [e for e in self.case.library if e.spec.at_channel and e.spec.linear]
-        return [
-            (other, trial.start.values[i])
-            for other in linear
-            if first in linear and other.place != first.place and other.coefficients == first.coefficients
-            if self.first_time("name", trial.hypothesis.key, i, other)
-        ]
+        first, linear = trial.effects[i], [e for e in self.case.library if _of_channel(e)]
+        ends = [e for e in linear if e.place != first.place and e.coefficients == first.coefficients]
+        key = ("name", trial.hypothesis.key, i)
+        fresh = [e for e in ends if first in linear and self.first_time(*key, e)]
+        return [(other, trial.start.values[i]) for other in fresh]
 
     def _imitations(self, trial: Trial, which: Sequence[int]) -> list[tuple[Effect, dict[str, float]]]:
-        """Return the effects that imitate the force of some effects best.
+        """Return the effects that imitate some effects best.
 
-        Each comes with its coefficients. An effect that is no force is moved to the other channels instead.
+        An effect that is no force is moved to the other channels instead.
         """
+        first, key = trial.effects[which[0]], trial.hypothesis.key
         if trial.force(which[0]) is None:
             return self._at_other_ends(trial, which[0])
-        along = [one for one in map(trial.force, which) if one is not None]
-        if len(along) < len(which):
-            return []
-        d, v, w, force = along[0]
-        force = force + sum(one[-1] for one in along[1:])
-        # re-estimated parameters take the linear part
-        linear = np.array([d, v]) if trial.hypothesis.floated else np.zeros((0, d.size))
-        whole = float(np.sum((force - linear.T @ np.linalg.lstsq(linear.T, force, rcond=1e-10)[0]) ** 2))
-        structure, place = trial.problem.structure, trial.effects[which[0]].place
-        held, options = [e.kind for e in trial.effects if e.place == place], []
-        for other in self.case.library:
-            if other.place != place or other.kind in held or is_number(other):
-                continue
-            if not self.first_time("name", trial.hypothesis.key, tuple(which), other):
-                continue
-            one = Structure(structure.model, [other])
-            names = [q.name for q in one.parameters]
-            shapes = []
-            for start in shape_starts(one, one.start(), self.motion):
-                own = dict(zip(names, map(float, start), strict=True))
-                shapes.append({n: value for n, value in own.items() if n in other.spec.shaping})
-            for kind in {trial.effects[i].kind for i in which} & other.spec.contains.keys():
-                shapes += [{n: other.spec.contains[kind].get(n, v) for n, v in shapes[0].items()}]
-            for shape in shapes:
-                free = [n for n in other.free if n not in shape]
-                columns = unit_forces(other, d, v, [shape], w, resting(structure, place))
-                if columns and len(columns) == len(free):
-                    F = np.column_stack([*columns, *linear])
-                    sizes = np.linalg.lstsq(F, force, rcond=1e-10)[0]
-                    left = float(np.sum((force - F @ sizes) ** 2) / whole)
-                    options.append(
-                        (left, other, {**shape, **dict(zip(free, map(float, sizes), strict=False))})
-                    )
-        best: dict[Effect, dict[str, float]] = {}
-        for left, other, values in sorted(options, key=lambda one: one[0]):
-            if left < _IMITATED and len(best) < _IMITATIONS:
-                best.setdefault(other, values)
-        return list(best.items())
+        held = [e.kind for e in trial.effects if e.place == first.place]
+        others = (
+            other
+            for other in self.case.library
+            if other.place == first.place and other.kind not in held and not is_number(other)
+            if self.first_time("name", key, tuple(which), other)
+        )
+        return imitations(trial, which, others, self.motion)
 
     def polish(self) -> None:
         """Polish the fits close to the best one, at most `_POLISHED` of them."""
         with self.case.progress.step("polishing"):
             for _ in range(_POLISHED):
                 best = self.posterior(self.best)
-                todo = [x for x in self.trials if x.effects and not self._is_polished(x)]
-                todo = [x for x in todo if self.determined(x) and self.posterior(x) > best - _NEAR]
+                done = [x for x, n in self._polished.items() if x.is_linear or n >= self.fitter.substeps]
+                todo = [x for x in self.trials if x.effects and x not in done and self.determined(x)]
+                todo = [x for x in todo if self.posterior(x) > best - _NEAR]
                 if not todo:
                     return
                 trial = self.ranked(todo)[0]
                 better = self.fitter.polished(trial)
-                self._done |= {
-                    ("polished", trial, self.fitter.substeps),
-                    ("polished", better, self.fitter.substeps),
-                }
+                self._polished |= {trial: self.fitter.substeps, better: self.fitter.substeps}
                 self.add(better, instead=True)
-
-    def _is_polished(self, trial: Trial) -> bool:
-        """Return whether a trial was polished with sufficiently fine substeps."""
-        linear = trial.problem.structure.is_linear
-        steps = {key[2] for key in self._done if key[:2] == ("polished", trial)}
-        return bool(steps) and (linear or max(steps) >= self.fitter.substeps)
 
     # ------------------------------------------------------------------ criticism
     def passed(self, trial: Trial) -> bool:
@@ -688,42 +590,47 @@ class Search:
         return self._criticism[trial]
 
     def _criticize(self, trial: Trial) -> Criticism:
-        case, fitted, ratio = self.case, trial.model, trial.hypothesis.ratio
-        motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in case.motions]
-        tested = TestedResidual(fitted, ratio)
-        others = passed_without_library(tested, motions, case.significance)
+        case, fitted = self.case, trial.model
+        others = passed_without_library(trial.tested, self._motions(trial), case.significance)
         if others is None and not case.passes([], fitted):  # a response may be solved up to rounding
             return Criticism(False, [], -np.inf)
-        tests = self.all_tests(trial, tested, others)
+        tests = self.all_tests(trial, others)
         odds = -np.inf
         for place in dict.fromkeys(e.place for e in trial.effects if case.passes(tests, fitted)):
-            more, against = self._beside(trial, tested, place)
+            more, against = self._beside(trial, place)
             tests += more
             odds = float(np.logaddexp(odds, against))
         excluded = 2 * odds > case.levels.rival
         return Criticism(case.passes(tests, fitted) and not excluded, tests, odds)
 
-    def _beside(self, trial: Trial, tested: TestedResidual, place: str) -> tuple[list[FTest], float]:
+    def _beside(self, trial: Trial, place: str) -> tuple[list[FTest], float]:
         """Return tests and log odds of a free force or curve at a place."""
         if not self.case.in_time:
-            free = FreeStiffness(tested, place)
+            free = FreeStiffness(trial.tested, place)
             return free.tests(), free.odds(trial.base)
-        beside = Beside(tested, place)
+        beside = Beside(trial.tested, place)
         size = trial.size if beside.at_channel else trial.force_at(place)
         return (beside.tests(), beside.odds(size)) if size > 0 else ([], -np.inf)
 
-    def all_tests(
-        self, trial: Trial, tested: TestedResidual, others: Sequence[FTest] | None = None
-    ) -> list[FTest]:
+    def _motions(self, trial: Trial) -> list[Any]:
+        """Return the motion of each record, estimated with a trial."""
+        fitted = trial.model
+        return [estimated_motion(fitted.structure, fitted.theta, m.data) for m in self.case.motions]
+
+    def all_tests(self, trial: Trial, others: Sequence[FTest] | None = None) -> list[FTest]:
         """Return all residual tests of a trial except those of free forces."""
-        fitted, ratio = trial.model, trial.hypothesis.ratio
-        motions = [estimated_motion(fitted.structure, fitted.theta, m.data) for m in self.case.motions]
+        fitted, ratio, motions = trial.model, trial.hypothesis.ratio, self._motions(trial)
         rest = not_held(self.case.library, fitted.structure.effects)
         if fitted.problem.dwells:  # a harmonic balance of two nonlinear effects is slow
             rest = [e for e in rest if e.spec.linear or e.spec.delays]
         near = in_race(fitted, rest, (ratio,))
         scored = candidate_columns(fitted, near, motions[0], (ratio,))
-        return run_tests(tested, scored, motions, len(rest) - len(near), others)
+        return run_tests(trial.tested, scored, motions, len(rest) - len(near), others)
+
+
+def _of_channel(effect: Effect) -> bool:
+    """Return whether an effect is a linear one at an input or an output."""
+    return bool(effect.spec.at_channel and effect.spec.linear)
 
 
 def is_number(effect: Effect) -> bool:

@@ -3,19 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import stats
 
+from ..comparison.compare import compare
+from ..data.measurement import Measurement
 from ..effects.effect import Effect
-from .case import not_held
-from .hypothesis import Trial
+from ..inference.basis import project
+from ..inference.levels import Levels
+from ..inference.refinement import EstimatedParameter, Refinement
+from ..inference.sensitivities import Candidate, candidate_columns
+from .case import Case, not_held
+from .check_rows import Detectable
+from .hypothesis import Trial, unphysical
+from .residual_tests import TestedResidual
+from .result import RankedEffect
 from .search import Search, is_gain, is_number
 
-__all__ = ["Answer", "TableRow", "answer", "special", "table"]
+__all__ = [
+    "Answer",
+    "TableRow",
+    "answer",
+    "detectable",
+    "estimates",
+    "ranking",
+    "special",
+    "table",
+    "undetermined",
+]
 
 
-class TableRow(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class TableRow:
     """A set of effects with its probability over all nuisances.
 
     Attributes
@@ -143,8 +165,7 @@ def _likely(rows: Sequence[TableRow], row: TableRow, total: float) -> bool:
 
     Rows before the given one failed. Its special cases, and rows that contain it, do not count.
     """
-    before = rows[: next(i for i, one in enumerate(rows) if one is row)]
-    failed = [one.value for one in before if not _related(one, row)]
+    failed = [one.value for one in rows[: rows.index(row)] if not _related(one, row)]
     return bool(np.logaddexp.reduce(failed or [-np.inf]) < total + np.log(0.5))
 
 
@@ -153,31 +174,161 @@ def _related(one: TableRow, other: TableRow) -> bool:
     return special(one.effects, other.effects) or special(other.effects, one.effects)
 
 
+def _family(rows: Sequence[TableRow], row: TableRow) -> list[TableRow]:
+    """Return the rows whose probability counts for a row.
+
+    If its effects are parameters of the model only, those are re-estimated parameters, too.
+    """
+    family = [r for r in rows if _related(r, row)]
+    if row.effects and all(map(is_number, row.effects)):
+        family += [r for r in rows if not r.effects and r.floated]
+    return family
+
+
 def _named(
     search: Search, rows: Sequence[TableRow], row: TableRow, trial: Trial, passed: Callable[[Trial], bool]
 ) -> Answer:
     """Return the answer for a row with a trial that passes its tests."""
-    levels = search.case.levels
-    family = [r for r in rows if _related(r, row)]
-    if row.effects and all(is_number(effect) for effect in row.effects):  # parameters of the model only
-        family += [r for r in rows if not r.effects and r.floated]
+    levels, family = search.case.levels, _family(rows, row)
     simpler = [r for r in family if special(r.effects, row.effects) and r.value > row.value - levels.family]
     passing = [(r, t) for r in simpler[:1] for t in r.trials[:3] if passed(t)]
     if passing:
-        family = [*(r for r in family if r is not passing[0][0]), row]
+        family.append(row)
         row, trial = passing[0]
+        family.remove(row)
     total = float(np.logaddexp.reduce([r.value for r in rows]))
     mass = float(np.logaddexp.reduce([r.value for r in [row, *family]]))
     none = 1.0 / (1.0 + float(np.exp(-search.criticized(trial).odds)))
     probability = float(np.exp(mass - total)) * (1.0 - none)
     free = trial.hypothesis.floated
-    asked = [e for e in row.effects if not not_held([e], search.case.library)]
-    effects = tuple(e for e in asked if not (free and is_gain(e)))
+    unasked = not_held(row.effects, search.case.library)
+    effects = tuple(e for e in row.effects if e not in unasked and not (free and is_gain(e)))
     if not effects:
         word = "parameters" if free or row.effects else "adequate"
         return Answer(word, row, trial, (), (), (), probability, none)
     near = [r for r in rows if r.value > row.value - 0.5 * levels.rival]
-    ties = tuple(r for r in near if not any(r is one for one in [row, *family]))
+    ties = tuple(r for r in near if r not in (row, *family))
     alone = probability >= levels.named or (probability >= 0.5 and not ties)
     word = "effect" if alone else "ambiguous"
     return Answer(word, row, trial, effects, ties, tuple(family), probability, none)
+
+
+def ranking(
+    trials: Sequence[Trial],
+    probabilities: Sequence[float],
+    alike: Sequence[bool],
+    nothing: float,
+    case: Case,
+    validation: Measurement | None,
+) -> tuple[RankedEffect, ...]:
+    """Return a row of the ranking for each trial, in the given order.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        One for each set of effects.
+    probabilities : sequence of float
+        Probability of each set.
+    alike : sequence of bool
+        Whether the data cannot distinguish the set from the best one.
+    nothing : float
+        Log evidence without any effect.
+    case : Case
+        Fitted model, records and settings.
+    validation : Measurement or None
+        Validation data for the fits; used for the first eight rows only.
+
+    Returns
+    -------
+    tuple of RankedEffect
+    """
+    horizon, rows = case.settings["horizon"], []
+    before = _validated(case.base, validation, horizon)
+    effects = list(dict.fromkeys(effect for trial in trials for effect in trial.effects))
+    scored = candidate_columns(case.fitted, effects, case.motions[0], (0.0,))
+    tests = TestedResidual(case.fitted).each(scored)
+    scores = {c.effect: test.p_value for c, test in zip(scored, tests, strict=True)}
+    for i, (trial, probability) in enumerate(zip(trials, probabilities, strict=True)):
+        refinement = trial.model.refinement
+        order = sorted(range(len(trial.effects)), key=lambda k: -trial.surest[k])
+        first, *more = (trial.effects[k] for k in order)
+        own = estimates(refinement, first)
+        values = {name: row.coefficient for name, row in own.items()}
+        std = {name: row.std for name, row in own.items()}
+        after = _validated(refinement, validation if i < 8 else None, horizon)
+        p_value = min(scores.get(effect, 1.0) for effect in trial.effects)
+        figures = (before, after, p_value, float(probability), trial.total - nothing)
+        rows.append(RankedEffect(first, values, std, *figures, refinement, tuple(more), alike[i]))
+    return tuple(rows)
+
+
+def estimates(refinement: Refinement, effect: Effect) -> dict[str, EstimatedParameter]:
+    """Return the estimates of the free coefficients of an effect, by name.
+
+    Empty if the model does not hold the effect.
+    """
+    name = (effect.kind, effect.place, "effect")
+    rows = [row for row in refinement.parameters if (row.kind, row.place, row.role) == name]
+    return dict(zip(effect.free, rows, strict=True)) if rows else {}
+
+
+def undetermined(refinement: Refinement, effect: Effect, levels: Levels) -> list[EstimatedParameter]:
+    """Return the estimates that keep an effect from being named or kept.
+
+    Parameters
+    ----------
+    refinement : Refinement
+        Model with the effect.
+    effect : Effect
+        Effect. Coefficients held by its `fixed` are not tested.
+    levels : Levels
+        Levels; `moved` is the least number of standard deviations.
+
+    Returns
+    -------
+    list of EstimatedParameter
+        All sizes of the effect, if none is more than `Levels.moved` standard deviations from zero or if their
+        sign contradicts physics. Otherwise the insignificant ones among the essential coefficients and the
+        shaping coefficients with a finite lower bound. Insignificant coefficients without a finite standard
+        deviation are included, too. Empty if the data determine the effect.
+    """
+    rows, law = estimates(refinement, effect), effect.spec
+    values = {name: row.coefficient for name, row in rows.items()}
+    loose = {name: row for name, row in rows.items() if not abs(row.coefficient) > levels.moved * row.std}
+    sizes = [name for name in rows if name not in law.shaping] or list(rows)
+    if loose.keys() >= set(sizes) or unphysical(effect, values, refinement.physical_model):
+        return [rows[name] for name in sizes]
+    asked = {*law.essential, *(name for name in law.shaping if np.isfinite(effect.bounds(name)[0]))}
+    return [row for name, row in loose.items() if name in asked or not np.isfinite(row.std)]
+
+
+def _validated(refinement: Refinement, validation: Measurement | None, horizon: float | None) -> float:
+    """Return the mean fit on validation data, or else on the fitted record."""
+    if validation is None:
+        return float(np.mean(refinement.fit))
+    return float(np.mean(compare(refinement, validation, horizon=horizon).fit))
+
+
+def detectable(
+    tested: TestedResidual, scored: Sequence[Candidate], tests: int, significance: float, levels: Levels
+) -> tuple[Detectable, ...]:
+    """Return the smallest detectable coefficient of each simple candidate.
+
+    Candidates with several coefficients or starts are left out. The power is 95 % by default
+    (`Levels.power`), at the level `significance` shared by all tests and candidates.
+    """
+    level = stats.norm.isf(significance / (2 * tests * max(len(scored), 1))) + levels.power
+    found = []
+    for candidate in scored:
+        if len(candidate.effect.free) != 1 or len(candidate.starts) != 1:
+            continue
+        white = tested.whiten(candidate.columns[tested.ratio])
+        column = project(white[:, 0], tested.basis)
+        size = float(np.linalg.norm(column))
+        if size > 1e-9 * max(float(np.linalg.norm(white[:, :1])), 1e-300):
+            parameter = candidate.problem.structure.parameters[-1]
+            unit = candidate.problem.structure.unit(parameter)
+            # larger if the column is large on samples that are noisier than the rest
+            spread = max(1.0, float(np.linalg.norm(column * tested.left)) / size)
+            found.append(Detectable(candidate.effect, parameter.name, level * spread / size, unit))
+    return tuple(found)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ..inference.levels import levels
+from ..inference.refinement import EstimatedParameter, Refinement
 from ..words import chance, with_error
-from .absorbed import determined, far_numbers, numbers_that_moved, what_was_absorbed
-from .improvement import Improvement
 from .residual_tests import overall
 
 if TYPE_CHECKING:
     from ..inference.f_tests import FTest
     from .result import Diagnosis
 
-__all__ = ["failed_test", "next_step", "no_test_fires", "sentences"]
+__all__ = ["determined", "failed_test", "no_test_fires", "numbers_that_moved", "percent", "sentences"]
 
 _VERDICTS = {
     "adequate": "This record shows no missing effect.",
@@ -52,19 +55,7 @@ def sentences(found: Diagnosis) -> list[str]:
     -------
     list of str
     """
-    alike = ", ".join([row.label for row in found.ranking if row.alike] or [e.label for e in found.ambiguous])
-    if len(found.ambiguous) == 1 and found.best is not None:
-        force = found.none_of_these > levels().no_law
-        alike += f" and {_force(found)} of unknown form" if force else " and changed parameter values"
-    n = len(found.effects)
-    missing = "One effect is missing" if n < 2 else f"{_NUMBERS[n]} effects are missing"
-    place = found.place
-    where = "" if place is None else f"; one is missing at {place} (probability {found.places[place]:.2f})"
-    lines = [_VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where, missing=missing)]
-    if found.floated is not None and far_numbers(determined(found.floated)):
-        lines = ["Parameter values explain the data, but such large changes may hide an effect."]
-    if found.verdict == "parameters" and found.left_to_noise:
-        lines = ["With re-estimated parameters, the residual cannot be distinguished from colored noise."]
+    lines = [_headline(found)]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
         head = found.left_to_noise or lines[0]
@@ -72,40 +63,8 @@ def sentences(found: Diagnosis) -> list[str]:
         shown = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in found.detectable[:4])
         lines += [f"Smallest effects that it would show (95 % probability): {shown}."] if shown else []
     elif worst is not None:  # without motion nothing could be tested
-        lines += _open_law(found)
-        fails = f"The residual of the model as given is not noise: {failed_test(worst)}."
-        if overall(found.tests) < found.significance:
-            lines.append(fails)
-        elif found.verdict == "unexplained":
-            lines.append(f"{no_test_fires(found)} {found.left_to_noise}".rstrip())
-        else:
-            odds = 1.0 / found.significance
-            lines.append(
-                f"{no_test_fires(found)} But this is over {odds:.3g} times as probable as no missing effect."
-            )
-        failed = found.winner_tests and overall(found.winner_tests) < found.significance
-        if found.verdict == "unexplained" and failed:
-            left = min(found.winner_tests, key=lambda t: t.p_value)
-            lines.append(f"With the best candidate it is not noise, either: {failed_test(left)}.")
-        if found.floated is not None:
-            lines += [found.left_to_noise, numbers_that_moved(determined(found.floated)), _ALIKE]
-        lines += _meaning(found)
-    is_law = found.best is not None and found.verdict != "unexplained"
-    hidden = is_law and found.none_of_these > levels().no_law
-    if hidden and not found.force_ratio:
-        lines.append(
-            f"A{_force(found)[1:]} of another form has probability {found.none_of_these:.2f}; this record "
-            "hardly shows its form."
-        )
-    if found.force_ratio:
-        lines.append(
-            f"The result allows for an unmeasured force of {100 * found.force_ratio:.2g} % of the input."
-        )
-    if hidden and found.force_ratio:
-        lines.append(
-            "If the plant was not disturbed, this force comes from an effect that is not in the library "
-            f"(probability {found.none_of_these:.2f})."
-        )
+        lines += [*_open_law(found), *_tests(found, worst), *_meaning(found)]
+    lines += _other_forces(found)
     if found.verdict == "ambiguous" and len(found.ambiguous) > 1:
         lines.append(
             "More outputs, a wider band or another amplitude would distinguish them."
@@ -117,34 +76,54 @@ def sentences(found: Diagnosis) -> list[str]:
     return [*filter(None, lines), *found.notes]
 
 
-def next_step(found: Diagnosis | Improvement) -> str:
-    """Return the next step after a verdict, as a line of Python.
+def _other_forces(found: Diagnosis) -> list[str]:
+    """Describe an unmeasured force, and a force of another form."""
+    hidden = found.best is not None and found.verdict != "unexplained"
+    hidden = hidden and found.none_of_these > levels().no_law
+    if not found.force_ratio:
+        form = f"of another form has probability {found.none_of_these:.2f}"
+        return [f"A{_force(found)[1:]} {form}; this record hardly shows its form."] if hidden else []
+    lines = [f"The result allows for an unmeasured force of {100 * found.force_ratio:.2g} % of the input."]
+    if hidden:
+        lines.append(
+            "If the plant was not disturbed, this force comes from an effect that is not in the library "
+            f"(probability {found.none_of_these:.2f})."
+        )
+    return lines
 
-    The line calls the result ``found``.
 
-    Parameters
-    ----------
-    found : Diagnosis or Improvement
-        Result.
+def _headline(found: Diagnosis) -> str:
+    """Return the verdict in a sentence."""
+    if found.verdict == "parameters" and found.left_to_noise:
+        return "With re-estimated parameters, the residual cannot be distinguished from colored noise."
+    if found.floated is not None and far_numbers(determined(found.floated)):
+        return "Parameter values explain the data, but such large changes may hide an effect."
+    alike = ", ".join([row.label for row in found.ranking if row.alike] or [e.label for e in found.ambiguous])
+    if len(found.ambiguous) == 1 and found.best is not None:
+        force = found.none_of_these > levels().no_law
+        alike += f" and {_force(found)} of unknown form" if force else " and changed parameter values"
+    n, place = len(found.effects), found.place
+    missing = "One effect is missing" if n < 2 else f"{_NUMBERS[n]} effects are missing"
+    where = "" if place is None else f"; one is missing at {place} (probability {found.places[place]:.2f})"
+    return _VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where, missing=missing)
 
-    Returns
-    -------
-    str
-    """
-    better = "better = found.refine(); print(better)"
-    if isinstance(found, Improvement):
-        return better.replace("refine()", "refinement") if len(found.steps) > 1 else "found.plot()"
-    if found.verdict == "adequate" and found.left_to_noise:  # numbers that are far off leave the same
-        return 'print(rco.refine(found.base, found.records, free="linear", tolerance=0.5))'
-    if found.verdict == "adequate":
-        return "rco.compare(found.base, found.records[0]).plot()  # what is left to noise"
-    if found.verdict == "ambiguous" and not found.base.of_responses:
-        return "print(found.suggest_experiment())"
-    if found.verdict != "unexplained":
-        return better
-    if found.open_law is not None:
-        return "print(rco.refine(found.base, found.records, [found.law()]))"
-    return "found.plot()  # the force against the motion, and what is left over"
+
+def _tests(found: Diagnosis, worst: FTest) -> list[str]:
+    """Return the results of the residual tests, if not adequate."""
+    if overall(found.tests) < found.significance:
+        lines = [f"The residual of the model as given is not noise: {failed_test(worst)}."]
+    elif found.verdict == "unexplained":
+        lines = [f"{no_test_fires(found)} {found.left_to_noise}".rstrip()]
+    else:
+        odds = f"over {1.0 / found.significance:.3g} times as probable as no missing effect"
+        lines = [f"{no_test_fires(found)} But this is {odds}."]
+    failed = found.winner_tests and overall(found.winner_tests) < found.significance
+    if found.verdict == "unexplained" and failed:
+        left = min(found.winner_tests, key=lambda t: t.p_value)
+        lines.append(f"With the best candidate it is not noise, either: {failed_test(left)}.")
+    if found.floated is not None:
+        lines += [found.left_to_noise, numbers_that_moved(determined(found.floated)), _ALIKE]
+    return lines
 
 
 def failed_test(test: FTest) -> str:
@@ -215,12 +194,11 @@ def _meaning(found: Diagnosis) -> list[str]:
     effect, values = found.best.effect, found.best.coefficients
     if effect.spec.of_record:
         shares = " and ".join(f"{100 * v:.3g} % {k}" for k, v in values.items())
-        said = effect.explanation
+        if found.verdict == "effect":
+            return [f"{effect.explanation} Here it is {shares}: correct the record, not the model."]
         return [
-            f"{said} Here it is {shares}: correct the record, not the model."
-            if found.verdict == "effect"
-            else f"{said} Here it would be {shares}. A wrong clock and parameters that scale all rates "
-            "have the same effect on a record: time the clock itself before you change a parameter."
+            f"{effect.explanation} Here it would be {shares}. A wrong clock and parameters that scale all "
+            "rates have the same effect on a record: time the clock itself before you change a parameter."
         ]
     if effect.spec.relative:
         (gain,) = values.values()
@@ -241,3 +219,139 @@ def _best(found: Diagnosis) -> str:
         told.append(f"{effect.label} ({values})")
     sure = "" if found.verdict == "unexplained" else f", probability {row.probability:.2f}"
     return f"{' and '.join(told)}: fit {row.fit_before:.4g} -> {row.fit_after:.4g} %{sure}"
+
+
+_LISTED = 6  # numbers that are listed
+_TOLD = 0.1  # of the standard deviation of its prior, below which a parameter is determined alone
+_ALONE = 0.1  # of its variance that is left where others are known, below which only products are determined
+_POWER = 0.05  # of a parameter in a product, below which it takes no part
+
+
+def what_was_absorbed(base: Refinement) -> str:
+    """Describe the changes of offsets and parameters in the base fit.
+
+    With these changes, no effect is missing from the model.
+
+    Parameters
+    ----------
+    base : Refinement
+        The model with its nuisances and free parameters fitted.
+
+    Returns
+    -------
+    str
+        One sentence, empty where no number moved by more than chance.
+    """
+    moved = [row for row in base.parameters if row.role != "effect" and _moved(row)]
+    if not moved:
+        return ""
+    moved.sort(key=lambda row: -abs(row.value - row.initial) / max(row.std, 1e-300))
+    said = [_one(row) for row in moved[:_LISTED]]
+    if len(moved) > _LISTED:
+        said.append(f"{len(moved) - _LISTED} more parameters")
+    return (
+        f"The fit includes {', '.join(said)}: that increases the fit of the simulation from "
+        f"{percent(base.initial_fit)} to {percent(base.fit)}."
+    )
+
+
+def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
+    """The numbers of a model that are off, as multiples of what it says.
+
+    Parameters
+    ----------
+    rows : sequence of EstimatedParameter
+        Numbers that were fitted.
+
+    Returns
+    -------
+    str
+        One sentence.
+    """
+    sure = sorted((r for r in rows if _moved(r)), key=lambda r: -abs(r.coefficient) / max(r.std, 1e-300))
+    said = [
+        f"{row.name} {with_error(row.value / row.initial, row.std / abs(row.initial))} times nominal"
+        for row in sure[:_LISTED]
+    ]
+    if not said:
+        return "No single parameter changed significantly; together they explain the residual."
+    more = f" and {len(sure) - _LISTED} more" if len(sure) > _LISTED else ""
+    far = far_numbers(sure)
+    doubt = (
+        f" The change of {', '.join(far[:_LISTED])} is so large that an effect may be missing at a place "
+        "that the model does not show: declare its links with physical(...)."
+    )
+    return f"Significant changes, if the sensors are right: {', '.join(said)}{more}.{doubt if far else ''}"
+
+
+def determined(model: Refinement) -> list[EstimatedParameter]:
+    """Return the parameters, or their products, that the data determine.
+
+    Parameters
+    ----------
+    model : Refinement
+        Its linear parameters were estimated, each with a prior.
+
+    Returns
+    -------
+    list of EstimatedParameter
+        A parameter that the data determine only in relation to others is replaced by its product with
+        powers of as few of them as possible, as a multiple of nominal.
+    """
+    prior = {(e.kind, e.place): sd for e in model.effects for sd in e.prior.values()}
+    at = [i for i, r in enumerate(model.parameters) if r.role == "linear" and (r.kind, r.place) in prior]
+    rows = [model.parameters[i] for i in at]
+    size = np.abs([row.value for row in rows])  # of logarithms: products of parameters are sums
+    widths = np.array([prior[row.kind, row.place] for row in rows]) / size
+    C = model.covariance[np.ix_(at, at)] / np.outer(size, size)
+    left, held = C, list[int]()
+    while True:
+        sds = np.sqrt(np.maximum(np.diag(left), 1e-300))
+        alike = np.sum((left / np.outer(sds, sds)) ** 2 > 1.0 - _ALONE, axis=0) * (sds > _TOLD * widths)
+        if np.max(alike, initial=0) < 2:  # itself
+            break
+        held.append(int(np.argmax(alike)))  # known, it would determine the most others
+        taken = left[:, held[-1]]
+        left = left - np.outer(taken, taken) / taken[held[-1]]
+        left[held[-1]] = left[:, held[-1]] = 0.0
+    powers = -np.linalg.lstsq(C[np.ix_(held, held)], C[held], rcond=None)[0]
+    found = []
+    for i, row in enumerate(rows):
+        if left[i, i] > _ALONE * C[i, i] or C[i, i] < (_TOLD * widths[i]) ** 2:
+            found.append(row)
+        elif i not in held:
+            name, ratio = row.name, row.value / row.initial
+            for k, power in zip(held, powers[:, i], strict=True):
+                if abs(power) > _POWER:
+                    written = "" if abs(abs(power) - 1.0) < _POWER else f"^{abs(power):.2g}"
+                    name += f" {'*' if power > 0 else '/'} {rows[k].name}{written}"
+                    ratio *= abs(rows[k].value / rows[k].initial) ** power
+            std = abs(ratio) * float(np.sqrt(max(left[i, i], 0.0)))
+            found.append(replace(row, name=name, initial=1.0, value=ratio, coefficient=ratio - 1.0, std=std))
+    return found
+
+
+def far_numbers(rows: Sequence[EstimatedParameter]) -> list[str]:
+    """Return the names of parameters that changed implausibly much.
+
+    Such a change is certain, and larger than the error of somebody who knows the plant.
+    """
+    sure, far = levels().moved, levels().moved_far
+    return [row.name for row in rows if abs(row.coefficient) - sure * row.std > far * abs(row.initial)]
+
+
+def _moved(row: EstimatedParameter) -> bool:
+    return abs(row.coefficient) > levels().moved * row.std
+
+
+def _one(row: EstimatedParameter) -> str:
+    unit = f" {row.unit}" if row.unit else ""
+    if row.role == "offset":
+        return f"an offset of {row.value:.3g}{unit} at {row.place}"
+    change = f" ({100 * (row.value / row.initial - 1):+.3g} %)" if row.initial else ""
+    return f"{row.name} from {row.initial:.4g} to {row.value:.4g}{unit}{change}"
+
+
+def percent(fit: np.ndarray) -> str:
+    """The fit of each output [%]."""
+    return " / ".join(f"{value:.4g} %" for value in np.atleast_1d(fit))

@@ -21,8 +21,8 @@ from ..comparison.result import Comparison
 from ..data.measurement import Measurement
 from ..data.records import as_record
 from ..diagnosis.case import candidates_of, not_held
-from ..diagnosis.checks.check import check
-from ..diagnosis.checks.result import Check
+from ..diagnosis.check import check
+from ..diagnosis.check_rows import Check
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
 from ..effects.effect import Effect, unit_forces

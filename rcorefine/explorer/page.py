@@ -22,7 +22,7 @@ from tornado.httputil import HTTPHeaders, HTTPServerRequest
 from tornado.web import HTTPError, OutputTransform, RequestHandler
 
 from ..comparison.failure_map.search import Failure, FailureMap
-from ..diagnosis.checks.result import Check
+from ..diagnosis.check_rows import Check
 from ..diagnosis.result import Diagnosis
 from ..effects.effect import Effect
 from ..exceptions import RCOError, unheard

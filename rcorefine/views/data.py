@@ -16,10 +16,8 @@ from ..comparison.failure_map.search import Failure, FailureMap
 from ..comparison.result import Comparison
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
-from ..diagnosis.hidden_force import HiddenForce
-from ..diagnosis.improvement import Improvement, Step
-from ..diagnosis.result import Diagnosis, RankedEffect
-from ..diagnosis.words import next_step
+from ..diagnosis.open_law import HiddenForce
+from ..diagnosis.result import Diagnosis, Improvement, RankedEffect, Step, next_step
 from ..effects.effect import Effect
 from ..engine.amplitude_response import AmplitudeResponse
 from ..extras import needed

@@ -11,12 +11,11 @@ from scipy.signal import welch
 from ..comparison.compare import compare
 from ..comparison.responses import FrequencyComparison
 from ..data.measurement import Measurement
-from ..diagnosis.checks.row import warned
-from ..diagnosis.confirmation import Confirmation
-from ..diagnosis.experiment_design.result import ExperimentAdvice
-from ..diagnosis.hidden_force import HiddenForce
-from ..diagnosis.result import Diagnosis
-from ..diagnosis.words import next_step
+from ..diagnosis.check_rows import warned
+from ..diagnosis.confirm import Confirmation
+from ..diagnosis.experiments import ExperimentAdvice
+from ..diagnosis.open_law import HiddenForce
+from ..diagnosis.result import Diagnosis, next_step
 from ..effects.effect import unit_forces
 from ..engine.simulation import simulated
 from ..systems.linear import Array

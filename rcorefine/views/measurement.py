@@ -10,8 +10,7 @@ import numpy as np
 
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
-from ..diagnosis.checks.result import Check
-from ..diagnosis.checks.row import CheckRow
+from ..diagnosis.check_rows import Check, CheckRow
 from ..words import frequency_text
 from .bode import BodeAxes, BodeUnits
 from .figures import MEASURED, Frame, draws, trace, unit_text

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 
 from ..arguments import as_choice
 from ..data.measurement import Measurement
-from ..diagnosis.checks.row import warned
-from ..diagnosis.improvement import Improvement
-from ..diagnosis.words import next_step
+from ..diagnosis.check_rows import warned
+from ..diagnosis.result import Improvement, next_step
 from ..effects.effect import Effect
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..models.physical_model import PhysicalModel

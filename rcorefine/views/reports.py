@@ -17,11 +17,9 @@ from ..comparison.result import Comparison
 from ..data.levels import stretches_by_level
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
-from ..diagnosis.absorbed import numbers_that_moved
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.improvement import Improvement
-from ..diagnosis.result import Diagnosis
-from ..diagnosis.words import no_test_fires
+from ..diagnosis.result import Diagnosis, Improvement
+from ..diagnosis.words import no_test_fires, numbers_that_moved
 from ..engine.simulation import simulated
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..systems.linear import LinearModel

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Likely", "between", "likely"]
+__all__ = ["between", "likely"]
 
 #: Size of each unit of a quantity, by the names that messages use.
 _SIZES = {
@@ -38,7 +38,7 @@ _WRITTEN = {
         ("acceleration", "g", "g gn"), ("force", "pounds", "lbf lb"),
     )
     for written in spelled.split()
-} | {"deg/s": ("rate", np.pi / 180, "deg/s"), "°/s": ("rate", np.pi / 180, "deg/s")}  # fmt: skip
+} | {written: ("rate", np.pi / 180, "deg/s") for written in ("deg/s", "°/s")}  # fmt: skip
 _METRIC = {
     "m": ("length", 1e3), "m/s": ("velocity", 1.0), "m/s^2": ("acceleration", 1.0),
     "m/s²": ("acceleration", 1.0), "N": ("force", 1.0), "rad": ("angle", 1.0), "V": ("voltage", 1.0),
@@ -62,21 +62,8 @@ _ROUND = 1e-3  # share that simulation and rounding may cost
 _MOST = 3  # units that a sentence lists
 
 
-class Likely(NamedTuple):
-    """Unit conversion that a factor looks like.
-
-    The words are empty where it is no conversion. It is certain if the factor agrees within its error.
-    """
-
-    words: str
-    certain: bool
-
-
 class _Known(NamedTuple):
-    """Declared unit: its quantity, size and name.
-
-    The quantity is "?" where this package does not know the unit.
-    """
+    """Declared unit; its quantity is "?" if it is not known here."""
 
     quantity: str
     size: float
@@ -94,7 +81,7 @@ def between(record: str, model: str) -> float | None:
     return other.size / one.size
 
 
-def likely(value: float, std: float, label: str, record: str, model: str) -> Likely:
+def likely(value: float, std: float, label: str, record: str, model: str) -> tuple[str, bool]:
     """Guess the unit of a record from its size relative to the model.
 
     Parameters
@@ -108,8 +95,10 @@ def likely(value: float, std: float, label: str, record: str, model: str) -> Lik
 
     Returns
     -------
-    Likely
-        It is certain only where one factor is met within a standard deviation that leaves room for no other.
+    words : str
+        The conversion that the size looks like; empty where it looks like none.
+    certain : bool
+        Whether one factor is met within a standard deviation that leaves room for no other.
     """
     # parameters that are off make a gain of 1.3 and not of 60
     within = _ABOUT if abs(np.log(value)) > np.log(_FAR) else min(max(3.0 * std / value, 0.01), _NEAR)
@@ -129,23 +118,20 @@ def likely(value: float, std: float, label: str, record: str, model: str) -> Lik
     near.sort()
     met = {round(f, 6) for *_, f, _ in near if abs(value - f) <= max(_SURE * std, _ROUND * value)}
     certain = len(met) == 1 and _SURE * std <= _FINE * value
-    if certain:
-        near = [row for row in near if round(row[2], 6) in met]
-    return Likely(", or ".join(row[-1] for row in near[:_MOST]), certain)
+    said = [words for *_, f, words in near if not certain or round(f, 6) in met]
+    return ", or ".join(said[:_MOST]), certain
 
 
 def _known(unit: str) -> _Known | None:
-    if not unit:
-        return None
     if unit in _WRITTEN:
         return _Known(*_WRITTEN[unit])
     for prefix, size in _PREFIXES.items():
         base = unit.removeprefix(prefix)
         if unit.startswith(prefix) and base in _METRIC:
             quantity, whole = _METRIC[base]
-            name = next((n for n, s in _SIZES.get(quantity, {}).items() if s == size * whole), unit)
-            return _Known(quantity, size * whole, name)
-    return _Known("?", 1.0, unit)
+            sizes = {size: name for name, size in reversed(_SIZES.get(quantity, {}).items())}
+            return _Known(quantity, size * whole, sizes.get(size * whole, unit))
+    return _Known("?", 1.0, unit) if unit else None
 
 
 def _rank(quantity: str, label: str, declared: _Known | None) -> int | None:
@@ -153,11 +139,9 @@ def _rank(quantity: str, label: str, declared: _Known | None) -> int | None:
 
     The rank is 0 for what suits it, 1 for what it may be, and None for what it is not.
     """
-    if quantity in _ANY:
-        return 1
-    if declared is not None:
+    if declared is not None and quantity not in _ANY:
         return 0 if declared.quantity == quantity else None
     spoken = [q for pattern, quantities in _NAMED if re.search(pattern, label.lower()) for q in quantities]
-    if not spoken:
+    if quantity in _ANY or not spoken:
         return 1
     return 0 if quantity in spoken else None

@@ -6,28 +6,29 @@ The present record explains these effects equally well.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
+import control as ct
 import numpy as np
 
-from ...data.measurement import Measurement
-from ...effects.effect import Effect
-from ...engine.engine import Engine
-from ...engine.observer import observer_gain
-from ...engine.structure import Structure
-from ...exceptions import DivergenceError
-from ...gauss_newton import Rows, gauss_newton
-from ...inference.fitted import evaluated
-from ...inference.levels import levels
-from ...inference.problem import Problem
-from ...inference.refinement import Refinement
-from ...inference.whitening import Whitener
-from ...inference.windows import windows
-from ...systems.linear import Array
-from .sensors import with_sensor
+from ..data.measurement import Measurement
+from ..effects.effect import Effect
+from ..engine.engine import Engine
+from ..engine.observer import observer_gain
+from ..engine.structure import Structure
+from ..exceptions import DivergenceError
+from ..gauss_newton import Rows, gauss_newton
+from ..inference.fitted import evaluated
+from ..inference.levels import levels
+from ..inference.problem import Problem
+from ..inference.refinement import Refinement
+from ..inference.whitening import Whitener
+from ..inference.windows import windows
+from ..models.physical_model import PhysicalModel
+from ..systems.linear import Array
 
-__all__ = ["Contender", "Plan", "Separation", "separation"]
+__all__ = ["Contender", "Plan", "Separation", "sensor_rows", "separation", "with_sensor"]
 
 _REFITS = 6  # Gauss-Newton steps of a rival towards what it is to imitate
 _PLAIN = 100.0  # squared distance at which rivals are separate beyond doubt
@@ -219,21 +220,13 @@ def _information_root(covariance: Array) -> Array:
 
 
 def _simulated(side: _Side, plan: Plan, steps: int) -> Measurement:
-    """The record that this contender would produce, without noise."""
-    shell, ny = plan.record, side.structure.n_outputs
-    blank = _record(shell, np.zeros((ny, shell.n_samples)), side.structure)
-    outputs = (
-        Engine(side.structure, blank, substeps=steps).run(side.theta, side.start, sensitivity=False).outputs
-    )
-    return _record(shell, outputs, side.structure)
-
-
-def _record(shell: Measurement, outputs: Array, structure: Structure) -> Measurement:
-    linear = structure.linear_model
-    return Measurement(
-        shell.inputs, outputs, dt=shell.dt, hold=shell.hold, input_labels=linear.input_labels,
-        output_labels=linear.output_labels,
-    )  # fmt: skip
+    """Return the record that this contender would produce, without noise."""
+    shell, structure = plan.record, side.structure
+    ins, outs = structure.linear_model.input_labels, structure.linear_model.output_labels
+    silent, hold = np.zeros((len(outs), shell.n_samples)), shell.hold
+    blank = Measurement(shell.inputs, silent, dt=shell.dt, hold=hold, input_labels=ins, output_labels=outs)
+    run = Engine(structure, blank, substeps=steps).run(side.theta, side.start, sensitivity=False)
+    return replace(blank, outputs=run.outputs)
 
 
 class _Fit:
@@ -336,3 +329,92 @@ def _margins(own: _Fit, fits: Sequence[_Fit]) -> Array:
     return np.column_stack(
         [fit.distance + 2 * crossed[:, j] + absorbed[0] - absorbed[j + 1] for j, fit in enumerate(fits)]
     )
+
+
+def with_sensor(model: PhysicalModel, label: str, row: Array) -> PhysicalModel:
+    """The model with one output more, which reads states.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        Model.
+    label : str
+        Name of the new output; it must not be one of the model's.
+    row : ndarray, shape (n,)
+        What it reads.
+
+    Returns
+    -------
+    PhysicalModel
+    """
+    linear = model.linear
+    blank = np.zeros((1, linear.n_inputs))
+    state = int(np.flatnonzero(row)[0])
+    unit = model.state_units[state] if model.state_units and np.count_nonzero(row) == 1 else ""
+    units = (*model.output_units, unit) if model.output_units else ()
+    C, D = np.vstack([linear.C, row]), np.vstack([linear.D, blank])
+    return replace(
+        model,
+        linear=linear.with_arrays(C=C, D=D, output_labels=(*linear.output_labels, label)),
+        output_state=np.vstack([model.output_state, row]),
+        output_rate=np.vstack([model.output_rate, np.zeros_like(row)[None]]),
+        output_input=np.vstack([model.output_input, blank]),
+        output_units=units,
+    )
+
+
+def sensor_rows(model: PhysicalModel, names: Sequence[str] | None = None) -> list[tuple[str, str, Array]]:
+    """Sensors that a model lacks.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        Model.
+    names : sequence of str, optional
+        States or ports (their displacement, or their velocity where they have none). By
+        default every state that no output reads: displacements where the present sensors
+        read displacements, velocities otherwise, and every first-order state.
+
+    Returns
+    -------
+    list of (str, str, ndarray of shape (n,))
+        Name of the place, label of the new output, row.
+    """
+    states = model.linear.state_labels
+    found = []
+    for name in _unread(model) if names is None else names:
+        if name in states:
+            row = np.eye(len(states))[states.index(name)]
+        else:
+            known = [port.name for port in model.ports]
+            if name not in known:
+                raise ct.ControlArgument(
+                    f"sensors names {name!r}; there are the states {', '.join(states)} and the ports "
+                    f"{', '.join(known)}"
+                )
+            port = model.port(name)
+            row = np.array(port.position if port.has_position else port.velocity)
+        label = name
+        while label in model.linear.output_labels:
+            label += "_sensor"
+        found.append((name, label, row))
+    return found
+
+
+def _unread(model: PhysicalModel) -> list[str]:
+    """Return the states that are worth a sensor.
+
+    No output reads them yet, and they are of the kind that the present sensors measure.
+    """
+    mechanical = [port for port in model.ports if port.kind == "mechanical"]
+    n = model.linear.n_states
+    places, rates = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    for port in mechanical:
+        places |= np.asarray(port.position) != 0
+        rates |= np.asarray(port.velocity) != 0
+    rates &= ~places
+    reads = model.output_state != 0
+    alone = [int(np.flatnonzero(row)[0]) for row in reads if np.count_nonzero(row) == 1]
+    wanted = ~(places | rates)  # first-order states
+    wanted |= places if (reads & places).any() else rates
+    return [model.linear.state_labels[i] for i in np.flatnonzero(wanted) if i not in alone]

@@ -12,17 +12,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import correlate
 
-from ...comparison.result import Comparison
-from ...data.measurement import Measurement
-from ...data.range_ends import clipped, coarse_noise, resolution
-from ...inference.basis import project, rank_basis
-from ...systems.conversion import to_discrete
-from ...systems.linear import Array, LinearModel
-from ...words import with_error
-from .row import LOOK, OK, STOP, CheckRow
+from ..comparison.result import Comparison
+from ..data.measurement import Measurement
+from ..data.range_ends import clipped, coarse_noise, resolution
+from ..inference.autoregression import autoregression
+from ..inference.basis import project, rank_basis
+from ..models.operating_point import OperatingPoint
+from ..systems.conversion import to_discrete
+from ..systems.linear import Array, LinearModel
+from ..words import counted, with_error
+from .check_rows import LOOK, OK, STOP, CheckRow
 from .units import between, likely
 
-__all__ = ["gain_rows", "settling"]
+__all__ = ["gain_rows", "level_rows"]
 
 _BLOCKS = 12
 _SURE = 4.0  # standard deviations
@@ -70,13 +72,11 @@ def gain_rows(compared: Comparison, units: Sequence[str] = ()) -> Iterator[Check
     CheckRow
     """
     data, linear = compared.data, compared.models[0]
-    edges = [*compared.starts, data.n_samples]
-    free = settling(linear, data.dt, edges)
+    free = settling(linear, data.dt, [*compared.starts, data.n_samples])
     for i, (label, y) in enumerate(zip(data.output_labels, data.outputs, strict=True)):
         # what an initial state adds is fitted beside the gain: with a wrong gain its estimate is wrong too
-        settled = np.concatenate(
-            [part[i] @ x0 for part, x0 in zip(free, compared.initial_states[0], strict=True)]
-        )
+        begun = zip(free, compared.initial_states[0], strict=True)
+        settled = np.concatenate([part[i] @ x0 for part, x0 in begun])
         run = compared.runs[0, i] - settled
         least = _MOVED * float(np.linalg.norm(run) + np.linalg.norm(settled))
         found = _gain(y, run, [np.column_stack([part[i], np.ones(len(part[i]))]) for part in free], least)
@@ -193,14 +193,14 @@ def _at_ends(row: Array, band: float) -> tuple[float, float]:
 def _delay_row(label: str, found: _Gain, dt: float) -> Iterator[CheckRow]:
     if not found.delay:
         return
-    word = "behind" if found.delay > 0 else "ahead of"
-    count = f"{abs(found.delay)} sample{'s' if abs(found.delay) > 1 else ''}"
-    figure = f"{count}, {abs(found.delay) * dt:.3g} s"
-    cause = "a delay (output_delay, input_delay)" if found.delay > 0 else "different clocks"
+    count, time = counted(abs(found.delay), "sample"), f"{abs(found.delay) * dt:.3g} s"
+    word, cause, pace = "ahead of", "different clocks", "slow"
+    if found.delay > 0:
+        word, cause, pace = "behind", "a delay (output_delay, input_delay)", "fast"
     yield CheckRow(
-        LOOK, "delay", label, figure,
-        f"{label} is best matched {count} ({abs(found.delay) * dt:.3g} s) {word} the model: {cause}, or "
-        f"model dynamics that are too {'fast' if found.delay > 0 else 'slow'}.",
+        LOOK, "delay", label, f"{count}, {time}",
+        f"{label} is best matched {count} ({time}) {word} the model: {cause}, or model dynamics that are too "
+        f"{pace}.",
     )  # fmt: skip
 
 
@@ -257,22 +257,17 @@ def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[Che
     unit = f"{'the record looks like' if certain else 'perhaps'} {words}"
     if found.undelayed < -_CLEAR and value + _SURE * found.std < 0:
         more = f", and {unit}" if words else ""
-        yield CheckRow(
-            STOP, "sign", label, figure,
-            f"{label} has the opposite sign of the model{more}: swapped wires, or another sign convention.",
-        )  # fmt: skip
+        status, what = STOP, "sign"
+        said = f"{label} has the opposite sign of the model{more}: swapped wires, or another sign convention."
     elif certain:
-        yield CheckRow(
-            STOP, "units", label, figure,
-            f"{label}: {unit}. The size agrees within its error, and so does the rest of the record.",
-        )  # fmt: skip
+        status, what = STOP, "units"
+        said = f"{label}: {unit}. The size agrees within its error, and so does the rest of the record."
     else:
-        yield CheckRow(
-            LOOK, "units" if words else "gain", label, figure,
-            f"{label} is {figure} times the model output: a wrong gain or parameter value"
-            + (", or a sign" if value < 0 else "")
-            + (f", or a unit ({words})." if words else ", or a unit." if factor is None else "."),
-        )  # fmt: skip
+        status, what = LOOK, "units" if words else "gain"
+        said = f"{label} is {figure} times the model output: a wrong gain or parameter value"
+        said += ", or a sign" if value < 0 else ""
+        said += f", or a unit ({words})." if words else ", or a unit." if factor is None else "."
+    yield CheckRow(status, what, label, figure, said)
 
 
 def _drift_row(label: str, left: Array, y: Array, timepts: Array) -> Iterator[CheckRow]:
@@ -306,3 +301,120 @@ def _spike_row(label: str, left: Array, step: float) -> Iterator[CheckRow]:
             LOOK, "spikes", label, f"{spikes} samples",
             f"{label} has {spikes} samples that differ strongly from their neighbors and dominate the error.",
         )  # fmt: skip
+
+
+_FAR_OFF = 3.0  # standard deviations of a signal that its mean stands away
+_SURE_LEVEL = 5.0  # standard errors of a level
+_LEVEL_TELLS = 1e-6  # of the samples: with fewer, none tells a level from an initial state
+_SEEN = 0.05  # of the spread of an output: a level that is worth a word
+
+
+def level_rows(
+    data: Measurement, point: OperatingPoint | None, compared: Comparison | None
+) -> Iterator[CheckRow]:
+    """Check the output levels and compare them with the model.
+
+    Parameters
+    ----------
+    data : Measurement
+        Record, as it was given.
+    point : OperatingPoint, optional
+        Of the model.
+    compared : Comparison, optional
+        Model on the record, where its free run has bounds.
+
+    Yields
+    ------
+    CheckRow
+        One on each output that does not go with the model or its point; where all do, one on all.
+    """
+    taken = data.origin[data.n_inputs :]
+    means, spreads = data.outputs.mean(axis=1) + taken, data.outputs.std(axis=1)
+    free = compared is not None and not compared.led
+    levels = dict(_unexplained(compared)) if compared is not None and free else {}
+    # where a model integrates, its level is that of its initial state: any level goes with it
+    fixed = np.array([levels.get(label, (0.0,)) is not None for label in data.output_labels])
+    far = (np.abs(means) > _FAR_OFF * spreads) & fixed
+    odd = list[CheckRow]()
+    if point is not None:
+        for i in np.flatnonzero((np.abs(point.outputs) > _FAR_OFF * spreads) & ~far & fixed & (taken == 0)):
+            said = (
+                f"{data.output_labels[i]} looks like deviations from an operating point, but in the model "
+                f"this point is {point.outputs[i]:.4g}. Give the record as it was measured, or a model "
+                "without an operating point."
+            )
+            odd.append(CheckRow(LOOK, "level", data.output_labels[i], with_error(means[i], spreads[i]), said))
+    # where it is led, or begins anew, its level is that of the record
+    free = compared is not None and free and len(compared.starts) == 1
+    declare = "declare {} by physical(model, operating_point=...), or give Measurement.deviation()."
+    for label, found in levels.items() if free and not odd else ():
+        if found is not None and _stands(*found):
+            figure = with_error(*found[:2])
+            said = (
+                f"{label} differs from the model by a constant {figure}, with a spread of {found[2]:.3g}: an "
+                "offset, or a record about an operating point."
+            )
+            if far.any() and point is None:
+                said += f" The outputs look absolute: {declare.format('this')}"
+            odd.append(CheckRow(LOOK, "level", label, figure, said))
+    if odd:
+        yield from odd
+    elif far.any():
+        said, where = "The outputs look like absolute values, as in the model.", ""
+        if point is None:
+            where = data.output_labels[int(np.argmax(far))]
+            said = "The outputs look like absolute values. If the model is linear about an operating point, "
+            said += declare.format("it")
+        yield CheckRow(OK, "level", where, "absolute", said)
+    elif not fixed.all():
+        said = "The model integrates, so its initial state can explain any level."
+        yield CheckRow(OK, "level", "", "any", said)
+    else:
+        yield _mean_row(data, free)
+
+
+def _mean_row(data: Measurement, free: bool) -> CheckRow:
+    """Return the row on the means of outputs in which nothing is odd."""
+    if not any(_stands(y.mean(), _error(y, y.size), y.std()) for y in data.outputs):
+        said = "The outputs look like deviations from an operating point."
+        return CheckRow(OK, "level", "", "about zero", said)
+    said = "the model explains them." if free else "no simulation shows whether the model explains them."
+    figure = "by the model" if free else "not zero"
+    return CheckRow(OK, "level", "", figure, f"The outputs have nonzero means, and {said}")
+
+
+def _stands(level: float, error: float, spread: float) -> bool:
+    """Return whether a level is significant and large enough to report."""
+    return abs(level) > max(_SURE_LEVEL * error, _SEEN * spread)
+
+
+def _unexplained(compared: Comparison) -> Iterator[tuple[str, tuple[float, float, float] | None]]:
+    """Yield the level of each output that the simulation does not explain.
+
+    With each level come its standard error and the spread. The gain of the simulation is free. The error has
+    no bound where gain and level have the same effect, or an output stands still; None where an initial state
+    can hold any level.
+    """
+    data = compared.data
+    (free,) = settling(compared.models[0], data.dt, [0, data.n_samples])
+    for i, (label, y) in enumerate(zip(data.output_labels, data.outputs, strict=True)):
+        # what an initial state adds is fitted beside the level, which its estimate took up in part
+        run = compared.runs[0, i] - free[i] @ compared.initial_states[0][0]
+        others = rank_basis(np.column_stack([run, free[i]]))
+        own, left = project(np.ones(y.size), others), project(y, others)
+        seen = float(own @ own)  # samples that tell the level from the rest
+        found = 0.0, np.inf, float(y.std())
+        if seen > _LEVEL_TELLS * y.size and np.ptp(y):
+            level = float(own @ left) / seen
+            found = level, _error(left - level * own, seen), found[2]
+        alone = project(np.ones(y.size), rank_basis(free[i]))
+        yield label, found if alone @ alone > _LEVEL_TELLS * y.size else None
+
+
+def _error(left: Array, seen: float) -> float:
+    """Return the standard error of a mean under colored noise.
+
+    The mean is over `seen` samples, and `left` is the remainder.
+    """
+    a, variance = autoregression(left)
+    return float(np.sqrt(variance / seen) / max(abs(float(np.sum(a))), 1e-12))

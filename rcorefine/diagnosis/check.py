@@ -1,0 +1,272 @@
+"""`check`: one table before everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import control as ct
+import numpy as np
+
+from ..arguments import as_flag
+from ..arithmetic import own_arithmetic
+from ..comparison.compare import compare
+from ..comparison.result import Comparison
+from ..data.channels import match_channels
+from ..data.measurement import Measurement
+from ..data.records import as_record
+from ..effects.effect import Effect, as_effects
+from ..exceptions import DataError, DivergenceError, unheard
+from ..inference.levels import levels
+from ..inference.sensitivities import candidate_columns
+from ..models.conversion import as_physical, known_physical, under_control
+from ..models.operating_point import ordered_record
+from ..models.physical_model import PhysicalModel
+from ..progress import Progress
+from ..refinement.refine import base_fit
+from ..systems.linear import LinearModel
+from ..words import counted
+from .case import Case
+from .check_outputs import gain_rows, level_rows
+from .check_rows import (
+    LOOK,
+    OK,
+    STOP,
+    Check,
+    CheckRow,
+    Detectable,
+    controller_rows,
+    feedback_rows,
+    sampling_rows,
+    signal_rows,
+)
+from .residual_tests import TestedResidual
+from .verdict import detectable
+
+__all__ = ["check", "looks"]
+
+_SHORTEST = 20  # samples
+_TESTS = 6  # among which one would have to show an effect
+_SETTINGS = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
+
+
+def check(
+    model: Any,
+    data: Measurement,
+    *,
+    information: bool = True,
+    controller: ct.StateSpace | None = None,
+    effects: Sequence[Effect] | None = None,
+) -> Check:
+    """Check a record and a model before anything is concluded from them.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Model.
+    data : Measurement
+        Record; its channels are matched as in `compare`.
+    information : bool
+        Whether to work out the smallest effects that the record could show.
+    controller : StateSpace or TransferFunction, optional
+        As in `refine`: the controller under which the record was taken.
+    effects : sequence of Effect, optional
+        Effects of your own model. A row for each compares its size, given by ``start`` or ``fixed``, with the
+        smallest that this record would show. All other coefficients must be fixed.
+
+    Returns
+    -------
+    Check
+        A row for each thing that was looked at, *ok*, *look* or *stop*; ``print`` it.
+
+    Raises
+    ------
+    control.ControlArgument
+        If model or data are something else, or an effect has more than one coefficient that is not fixed.
+    control.ControlDimension
+        If channels do not fit.
+    DataError
+        If the record is too short.
+
+    Notes
+    -----
+    Looked at: constant, repeated, clipped, coarse and spiky signals, dropouts; sampling and length against
+    the model's modes; of each output beside the free run its sign, gain and unit (known where record and
+    model declare it; else a gain that is 9.549 within a small error, while the rest of the record fits, is
+    rpm for rad/s, and one near that may be), delay, offset, drift; inputs that follow the outputs. The gain's
+    standard deviation comes from the spread over blocks of the record, so the noise may have any color.
+
+    Examples
+    --------
+    >>> motor = rco.dc_motor(gain=2.0, time_constant=0.5, inputs="voltage", outputs="speed")
+    >>> volts = np.random.default_rng(0).standard_normal(1000)
+    >>> y = rco.simulate(motor, rco.Measurement(volts, np.zeros(1000), dt=0.05), "zero").outputs[0]
+    >>> found = rco.check(motor, rco.Measurement(volts, y * 60 / (2 * np.pi), dt=0.05))
+    >>> found.stops, found.looks[0].what
+    (True, 'units')
+    """
+    as_flag(information, "information")
+    if as_record(data).n_samples < _SHORTEST:
+        raise DataError(f"a record of {data.n_samples} samples is too short to look over; give {_SHORTEST}")
+    model = under_control(model, controller, data)
+    with own_arithmetic(), unheard():
+        record, rows = _looked_over(model, data, None)
+        stopped = any(row.status == STOP for row in rows)
+        shown = _shown(model, record) if information and not stopped else ()
+        own = () if effects is None or stopped else _own(model, record, as_effects(effects, "effects"))
+    rows += _information_rows(shown, as_physical(model) if shown else None)
+    rows += [_against(effect, found) for effect, found in own]
+    return Check(tuple(rows), shown)
+
+
+def looks(model: Any, records: Sequence[Measurement], horizon: float | None) -> tuple[CheckRow, ...]:
+    """Return the check rows that need attention for these records.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Model.
+    records : sequence of Measurement
+        Records; of several, each row says which it is about.
+    horizon : float, optional
+        Length of the free runs (s).
+
+    Returns
+    -------
+    tuple of CheckRow
+        Those that say stop first.
+    """
+    rows = []
+    with unheard():
+        for i, data in enumerate(records):
+            about = f"record {i + 1}"
+            for row in _looked_over(model, data, horizon)[1] if data.n_samples >= _SHORTEST else ():
+                where, sentence = f"{row.where}, {about}".removeprefix(", "), f"{about}: {row.sentence}"
+                rows.append(row if len(records) == 1 else replace(row, where=where, sentence=sentence))
+    return Check(tuple(rows)).looks
+
+
+def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[Measurement, list[CheckRow]]:
+    """Return the record in the model's channel order, and its check rows.
+
+    The rows on information are not included.
+    """
+    physical = known_physical(model)
+    point = None if physical is None else physical.operating_point
+    straight = point is None or point.field is None  # of a nonlinear model a gain says little
+    controller = None if physical is None else physical.controller
+    about = physical is not None and point is not None and straight and controller is None
+    if physical is not None and point is not None and about:  # beside what the record has above the point
+        compared = _compared(physical.system, ordered_record(physical, data), horizon)
+        known = dict(zip(match_channels(physical.linear, data).outputs, point.outputs, strict=True))
+        point = replace(point, outputs=np.array([known.get(i, 0.0) for i in range(data.n_outputs)]))
+    else:
+        compared = _compared(model, data, horizon)
+    record = data if compared is None or about else compared.data
+    rows = list(signal_rows(record if data.n_inputs else data))
+    levels = list(level_rows(data, point, compared)) if straight else []
+    linear = LinearModel.from_statespace(getattr(model, "system", model))
+    sampling = sampling_rows(linear, record, controller is not None)
+    if compared is None:
+        diverges = CheckRow(
+            STOP, "free run", "", "diverges",
+            "The simulation diverges, so the model cannot be compared with the record. Give compare a short "
+            "horizon=, or correct the poles.",
+        )  # fmt: skip
+        return record, [*rows, *levels, *sampling, diverges]
+    if controller is not None:
+        return record, [*rows, *levels, *sampling, *controller_rows(controller, linear, data)]
+    gains: list[CheckRow] = []
+    if straight and not compared.led:
+        gains = list(gain_rows(compared, _units(physical, data, compared)))
+    # they say what a level and a limit there come from
+    bent = {row.where for row in gains if row.what in ("rectified", "stops")}
+    kept = [r for r in (*rows, *levels) if r.where not in bent or r.what not in ("level", "clipping")]
+    return record, [*kept, *sampling, *gains, *feedback_rows(compared)]
+
+
+def _compared(model: Any, data: Measurement, horizon: float | None) -> Comparison | None:
+    """Return the model on the record, None if its simulation diverges."""
+    try:
+        compared = compare(model, data, horizon=horizon)
+    except DivergenceError:
+        return None
+    return compared if np.isfinite(compared.runs).all() else None
+
+
+def _units(physical: PhysicalModel | None, data: Measurement, compared: Comparison) -> tuple[str, ...]:
+    """Units that the model declares for the outputs that were compared."""
+    if physical is None or not any(physical.output_units):
+        return ()
+    outputs = match_channels(physical.linear, data).outputs
+    labels = [data.output_labels[place] if place >= 0 else "" for place in outputs]
+    return tuple(physical.output_units[labels.index(label)] for label in compared.data.output_labels)
+
+
+def _own(model: Any, data: Measurement, effects: Sequence[Effect]) -> list[tuple[Effect, Detectable | None]]:
+    """Return effects, each with the smallest size that the record shows.
+
+    The size is None if the record shows none.
+    """
+    bare = []
+    for effect in effects:
+        sizes = [name for name in effect.coefficients if name not in effect.spec.shaping]
+        if len(sizes) != 1 or set(effect.free) - set(sizes):
+            others = ", ".join(name for name in effect.free if name not in sizes[:1])
+            raise ct.ControlArgument(
+                f"{effect.label} has more coefficients than its size: fix the others ({others}) by "
+                "fixed={...}"
+            )
+        fixed = {name: value for name, value in effect.fixed.items() if name not in sizes}
+        bare.append(effect.replace(start={}, prior={}, fixed=fixed))
+    shown = {found.effect: found for found in _shown(model, data, bare)}
+    return [(effect, shown.get(one)) for effect, one in zip(effects, bare, strict=True)]
+
+
+def _against(effect: Effect, found: Detectable | None) -> CheckRow:
+    """Return the row of an effect of the user's own model."""
+    if found is None:
+        said = f"This record cannot show {effect.label}."
+        return CheckRow(LOOK, "information", effect.place, f"{effect.kind}: not seen", said)
+    value = {**effect.start, **effect.fixed}.get(found.coefficient)
+    least = f"{found.smallest:.3g} {found.unit}".strip()
+    status, word = OK, f"from {least}"
+    said = f"{effect.label}: this record cannot show less than {least} (95 % probability)."
+    if value is not None:
+        said = f"{said} Your model has {value:.3g} {found.unit}".strip() + "."
+        status, word = (OK, "shows") if abs(value) >= found.smallest else (LOOK, "too small to show")
+    return CheckRow(status, "information", effect.place, f"{effect.kind}: {word}", said)
+
+
+def _shown(model: Any, data: Measurement, effects: Sequence[Effect] | None = None) -> tuple[Detectable, ...]:
+    """Smallest coefficients that one of the tests of `diagnose` would show."""
+    try:
+        base = base_fit(model, [data], free=(), tolerance=0.0, offset=True, noise=None)
+        case = Case(base, [data], effects, dict(_SETTINGS), 0.01, Progress())
+    except (DataError, ct.ControlArgument):
+        return ()  # too short, or nothing that could be missing: there is no such row then
+    scored = candidate_columns(case.fitted, case.library, case.motions[0], (0.0,))
+    return detectable(TestedResidual(case.fitted), scored, _TESTS, 0.01, levels())
+
+
+def _information_rows(shown: tuple[Detectable, ...], model: PhysicalModel | None) -> list[CheckRow]:
+    """Return check rows on the changes that the record could show.
+
+    A parameter counts as not seen if the record would not even show that it doubles.
+    """
+    if model is None:
+        return []
+    nominal = {(q.kind, q.place): abs(q.value) for q in model.parameters}
+    blind = [
+        d.effect.label for d in shown if d.smallest > nominal.get((d.effect.kind, d.effect.place), np.inf)
+    ]
+    best = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in shown[:3])
+    seen = CheckRow(
+        OK, "information", "", f"{counted(len(shown), 'effect')} tried",
+        f"Smallest effects that it would show (95 % probability): {best}, and others (.detectable).",
+    )  # fmt: skip
+    if not blind:
+        return [seen]
+    least = f"The record would not show these even if they doubled: {', '.join(blind[:4])}."
+    return [seen, CheckRow(LOOK, "information", "", f"{len(blind)} not seen", least)]

@@ -1,1 +1,0 @@
-"""Checks of a record and a model before any other analysis."""

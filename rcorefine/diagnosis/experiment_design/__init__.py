@@ -1,4 +1,0 @@
-"""Experiment design: measurements that distinguish the candidates.
-
-The present record cannot distinguish them.
-"""
