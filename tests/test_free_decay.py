@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rcorefine as rco
-from rcorefine.comparison.decay import decay_of
+from rcorefine.comparison.signals import decay_of
 
 DT = 0.03
 LINEAR = ct.ss(

@@ -11,7 +11,6 @@ from scipy import stats
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.comparison.residual_tests import free_run_tests, input_correlation
 from rcorefine.inference.basis import project, rank_basis
 from rcorefine.inference.f_tests import f_test, unequal_variances
 
@@ -114,16 +113,6 @@ def test_under_direct_feedback_the_input_holds_the_noise_of_its_own_sample():
     tests = {test.name: test for test in rco.diagnose(model, data).tests}
     assert tests["input"].dof == 40  # lags 1 to 40
     assert tests["input"].p_value > 1e-3
-    residual = data.outputs - rco.simulate(model, data).outputs
-    for table in (input_correlation, free_run_tests):
-        assert "input" in [t.test for t in table(residual, data.inputs).failed()]
-        assert not [t for t in table(residual, data.inputs, at_once=False).failed() if "input" in t.test]
-
-
-def test_feedback_shows_as_feedback():
-    model, data = held_loop()
-    residual = data.outputs - rco.simulate(model, data).outputs
-    assert [t.test for t in input_correlation(residual, data.inputs, at_once=False).failed()] == ["feedback"]
 
 
 def test_what_can_act_at_once_is_tested_at_once():

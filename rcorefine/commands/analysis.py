@@ -19,8 +19,8 @@ from typing import Any
 import control as ct
 
 from ..arguments import printable
-from ..comparison.adequacy import best_of, failures_of
 from ..comparison.compare import compare
+from ..comparison.result import best_of, failures_of
 from ..data import files
 from ..data.measurement import Measurement
 from ..diagnosis.check import check

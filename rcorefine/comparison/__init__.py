@@ -4,22 +4,12 @@ from __future__ import annotations
 
 from .black_box import black_box
 from .compare import compare
-from .correlation import Correlogram, correlogram
-from .failure_map.residual_force import ResidualForce, residual_force
 from .failure_map.search import Failure, FailureMap
-from .horizon import HorizonError, horizon_error
-from .metrics import fit_percent, root_mean_square
-from .model_error import ModelError, model_error
-from .nonlinear_dependence import higher_order_correlation
-from .residual_tests import (
-    ResidualTest,
-    TestTable,
-    free_run_tests,
-    input_correlation,
-    whiteness,
-)
+from .failure_map.state import ResidualForce, residual_force
+from .model_error import HorizonError, ModelError, horizon_error, model_error
 from .responses import FrequencyComparison
 from .result import Comparison
+from .signals import Correlogram, correlogram, fit_percent, root_mean_square
 
 __all__ = [
     "Comparison",
@@ -30,18 +20,12 @@ __all__ = [
     "HorizonError",
     "ModelError",
     "ResidualForce",
-    "ResidualTest",
-    "TestTable",
     "black_box",
     "compare",
     "correlogram",
     "fit_percent",
-    "free_run_tests",
-    "higher_order_correlation",
     "horizon_error",
-    "input_correlation",
     "model_error",
     "residual_force",
     "root_mean_square",
-    "whiteness",
 ]

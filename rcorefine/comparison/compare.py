@@ -25,36 +25,11 @@ from ..models.conversion import known_physical, under_control
 from ..models.operating_point import completed, ordered_record
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
-from .failure_map.places import given_places
+from .failure_map.record import given_places
 from .responses import FrequencyComparison, LevelComparison, compare_responses
 from .result import Comparison
 
-__all__ = ["compare", "controlled", "led", "runs_of"]
-
-
-def runs_of(models: Sequence[Any], linear: Sequence[LinearModel], data: Measurement) -> list[LinearModel]:
-    """Return the linear models that are simulated.
-
-    For a refinement this includes its initial model, by which `refine` decided whether it integrates.
-    """
-    known = [one for one in map(known_physical, models) if one is not None]
-    if controlled(models):
-        return [as_it_runs(one, data) for one in known]
-    return [*linear, *(one.linear for one in known)]
-
-
-def led(models: Sequence[Any], linear: Sequence[LinearModel], data: Measurement) -> bool:
-    """Return whether a model has no free run and follows the record instead."""
-    known = [one for one in map(known_physical, models) if one is not None]
-    if controlled(models):
-        return False
-    away = any(each.is_continuous and runs_away(each, data) for each in linear)
-    return away or any(leading_ratio(one, ordered_record(one, data)) is not None for one in known)
-
-
-def controlled(models: Sequence[Any]) -> list[PhysicalModel]:
-    """Those in a loop."""
-    return [one for one in map(known_physical, models) if one is not None and one.controller is not None]
+__all__ = ["compare"]
 
 
 @overload
@@ -142,7 +117,11 @@ def compare(
     (True, True)
     """
     responses = in_frequency(data)
-    horizon = _checked(data, responses, x0, horizon, controller)
+    if responses:
+        as_data(data, x0=x0, horizon=horizon, controller=controller)
+    else:
+        as_record(data)
+        horizon = checked_horizon(horizon, known_start=as_state(x0) is not None)
     several = isinstance(model, (list, tuple))
     models = [under_control(each, controller, data) for each in (model if several else [model])]
     if not models:
@@ -152,21 +131,7 @@ def compare(
     if responses:
         named = [each.with_arrays(name=name) for each, name in zip(linear, names, strict=True)]
         return compare_responses(models, named, data, several=several)
-    for looped in controlled(models)[:1]:
-        data = completed(looped, data)
     return _on_record(models, linear, names, data, x0, horizon, several)
-
-
-def _checked(data: Any, responses: bool, x0: Any, horizon: float | None, controller: Any) -> float | None:
-    """The horizon; whether it and the initial state belong to such data."""
-    if responses and as_data(data, x0=x0, horizon=horizon, controller=controller):
-        return None
-    as_record(data)
-    return checked_horizon(horizon, known_start=as_state(x0) is not None)
-
-
-def _estimated(x0: Any) -> bool:
-    return isinstance(x0, str) and x0 == "estimate"
 
 
 def _on_record(
@@ -179,15 +144,20 @@ def _on_record(
     several: bool,
 ) -> Comparison:
     """The models run freely on one record."""
-    given = data
+    known = [one for one in map(known_physical, models) if one is not None]
+    looped = [one for one in known if one.controller is not None]
+    data = given = completed(looped[0], data) if looped else data
     data = resting_inputs(data, list(dict.fromkeys(label for each in linear for label in each.input_labels)))
     channels = [match_channels(each, data) for each in linear]
-    holds = [_hold(each) or data.hold for each in models]
+    holds = [getattr(known_physical(each), "hold", None) or data.hold for each in models]
     outputs = [i for i in range(data.n_outputs) if all(i in each.outputs for each in channels)]
     if not outputs:
         raise ct.ControlDimension("the models have no output of the record in common; compare them alone")
     notes = [note for each in channels for note in each.notes]
-    windows, note = _windows(data, horizon, x0, runs_of(models, linear, data), len(outputs))
+    # for a refinement this includes its initial model, by which `refine` decided whether it integrates
+    runs_as = [as_it_runs(one, data) for one in looped] or [*linear, *(one.linear for one in known)]
+    estimated = isinstance(x0, str) and x0 == "estimate"
+    windows, note = _windows(runs_as, data, horizon, estimated, len(outputs))
     notes += [note] if note else []
     notes += [
         f"{name!r} uses hold={hold!r}, as it was fitted; the record declares {data.hold!r}"
@@ -195,7 +165,10 @@ def _on_record(
         if hold != data.hold
     ]
     given.check_excitation("compare")
-    hidden = _hidden(models, channels, data, x0, windows[0].stop)
+    hidden = 0  # first samples that a delay hides from one of the models
+    if estimated:
+        seen = [record_for(data, where) for where in channels]
+        hidden = min(max(map(unjudged_samples, models, seen)), windows[0].stop // 2)
     made = []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):
         run, start, motion = _simulate(each, flat, places, data, x0, windows, hidden, name, outputs)
@@ -229,19 +202,18 @@ def _on_record(
         holds=tuple(holds),
         notes=tuple(dict.fromkeys(notes)),
         several=several,
-        looped=bool(controlled(models)),
-        led=len(windows) == 1 and led(models, linear, data),
+        looped=bool(looped),
+        led=len(windows) == 1 and not looped and _led(known, linear, data),
     )
 
 
 def _windows(
-    data: Measurement, horizon: float | None, x0: Any, models: Sequence[LinearModel], n_outputs: int
+    models: Sequence[LinearModel], data: Measurement, horizon: float | None, estimated: bool, n_outputs: int
 ) -> tuple[list[slice], str]:
     """Return windows that cover the record, and the reason for them.
 
     Each window is long enough to estimate a state in it.
     """
-    estimated = _estimated(x0)
     (windows,), note = free_runs(models, [data], horizon, known_start=not estimated)
     n_states = max(each.n_states for each in models)
     if estimated and data.n_samples * n_outputs <= n_states:
@@ -252,23 +224,10 @@ def _windows(
     return windows, note
 
 
-def _hold(model: Any) -> str | None:
-    """The hold that goes with a model."""
-    physical = known_physical(model)
-    return None if physical is None else physical.hold
-
-
-def _hidden(
-    models: Sequence[Any], channels: Sequence[Channels], data: Measurement, x0: Any, first: int
-) -> int:
-    """Return the number of first samples that a delay hides.
-
-    They are hidden from one of the models, where its initial state is estimated.
-    """
-    if not _estimated(x0):
-        return 0
-    lost = [unjudged_samples(m, record_for(data, places)) for m, places in zip(models, channels, strict=True)]
-    return min(max(lost), first // 2)
+def _led(known: Sequence[PhysicalModel], linear: Sequence[LinearModel], data: Measurement) -> bool:
+    """Return whether a model has no free run and follows the record instead."""
+    away = any(each.is_continuous and runs_away(each, data) for each in linear)
+    return away or any(leading_ratio(one, ordered_record(one, data)) is not None for one in known)
 
 
 def _simulate(
@@ -307,9 +266,11 @@ def _simulate(
     motion = np.empty((linear.n_states, data.n_samples))
     for index, window in enumerate(windows):
         early = min(hidden, window.start)
-        around = slice(window.start - early, window.stop)
+        part = record
+        if len(windows) > 1:  # the last one runs to the end
+            after = record.timepts[window.stop] if window.stop < record.n_samples else None
+            part = record.segment(record.timepts[window.start - early], after)
         try:
-            part = _window(record, around) if len(windows) > 1 else record
             simulation = simulated(model, part, start, led=True)
         except DivergenceError as error:
             raise DivergenceError(_DIVERGED.format(name=name, why=error)) from error
@@ -346,14 +307,6 @@ def _beyond_tables(model: Any, name: str, states: Array, inputs: Array) -> list[
                     "the samples; the table is extrapolated linearly there"
                 )
     return said
-
-
-def _window(record: Measurement, window: slice) -> Measurement:
-    """Samples of one window; the last one runs to the end."""
-    after = window.stop if window.stop < record.n_samples else None
-    return record.segment(
-        float(record.timepts[window.start]), None if after is None else float(record.timepts[after])
-    )
 
 
 _DIVERGED = (

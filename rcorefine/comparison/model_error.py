@@ -1,9 +1,12 @@
-"""Model error model: the response from input to residual, with its band."""
+"""Error of a model: over frequency, and over its prediction horizon.
+
+The horizon ranges from one step ahead to the simulation from the initial state (free run).
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +14,21 @@ from scipy import stats
 
 from ..data.measurement import Measurement
 from ..data.welch import estimate_frequency_response
+from ..engine.observer import steady_filter
+from ..exceptions import DataError
+from ..jit import compiled
 from ..results import Row
 from ..systems.linear import Array
 from ..systems.response import as_sampled, frequency_response
+from .failure_map.record import ModelOnRecord
 
 if TYPE_CHECKING:
     from .result import Comparison
 
-__all__ = ["ModelError", "model_error"]
+__all__ = ["HorizonError", "ModelError", "horizon_error", "model_error"]
+
+_NOISE = 0.02
+_LEVELS = tuple(10.0 ** np.arange(-3.0, 3.1, 1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,11 +125,134 @@ def model_error(comparison: Comparison, model: int = 0, *, segment_length: int |
     count = found.response.size
     wide = found.std * np.sqrt(2.0 * stats.f.isf(1.0 - 0.95 ** (1.0 / count), 2, free))
     seen = as_sampled(comparison.models[model], data.dt, data.hold)
-    return ModelError(
-        comparison.names[model],
-        found.omega,
-        found.response,
-        frequency_response(seen, found.omega),
-        radius,
-        wide,
+    response = frequency_response(seen, found.omega)
+    return ModelError(comparison.names[model], found.omega, found.response, response, radius, wide)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HorizonError(Row):
+    """Error against prediction horizon.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Models.
+    steps : ndarray of shape (n_horizons,)
+        Horizons in samples.
+    seconds : ndarray of shape (n_horizons,)
+        The same in s.
+    rmse : ndarray of shape (n_models, n_y, n_horizons)
+        Error of predictions so many samples ahead, in output units.
+    free_run : ndarray of shape (n_models, n_y)
+        Error of the free run, which the curves end in.
+    """
+
+    names: tuple[str, ...]
+    steps: Array
+    seconds: Array
+    rmse: Array
+    free_run: Array
+
+
+def horizon_error(comparison: Comparison, steps: Any = None) -> HorizonError:
+    """Error of predictions one, two, ... samples ahead.
+
+    At each sample the record corrects the state of the model (steady Kalman
+    gain for unknown input of the likeliest level); from there it runs
+    free. A correct model with noisy sensors has a flat curve; one whose
+    curve rises has wrong dynamics over the time in which it does.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Models on a record.
+    steps : array_like of int, optional
+        Horizons in samples; default 12 from one to a quarter of the record,
+        evenly spaced on a logarithmic axis.
+
+    Returns
+    -------
+    HorizonError
+    """
+    data = comparison.data
+    longest = int(max(np.diff([*comparison.starts, data.n_samples])))
+    if steps is None:
+        steps = np.unique(np.geomspace(1, max(longest // 4, 1), 12).round().astype(int))
+    ahead = np.atleast_1d(np.asarray(steps, dtype=np.int64))
+    if ahead.ndim != 1 or ahead.size == 0 or (ahead < 1).any() or (ahead >= data.n_samples).any():
+        raise DataError(f"steps must be whole numbers of samples from 1 to {data.n_samples - 1}, not {steps}")
+    rmse = np.array([_errors(comparison, i, ahead) for i in range(len(comparison.names))])
+    free = np.sqrt(np.mean((data.outputs[None] - comparison.runs) ** 2, axis=2))
+    return HorizonError(
+        comparison.names, ahead.astype(float), np.asarray(ahead * data.dt, dtype=float), rmse, free
     )
+
+
+def _errors(comparison: Comparison, index: int, ahead: NDArray[np.int64]) -> Array:
+    """Return the errors (n_y, n_horizons) of one model.
+
+    The linear part of the model carries the correction on.
+    """
+    scene = ModelOnRecord(comparison, index, searched=False)
+    residual = (scene.measured - scene.run).T.copy()
+    Phi, C = np.ascontiguousarray(scene.transition), scene.model.C / scene.scale
+    gain = _gain(Phi, scene.drive, C, residual, scene)
+    powers = np.stack([C @ np.linalg.matrix_power(Phi, int(h)) for h in ahead])
+    total, count = np.zeros((ahead.size, C.shape[0])), np.zeros(ahead.size)
+    # the error is carried on by the linear part: what a correction takes off now fades as it does
+    predict(Phi, C, gain, residual, scene.reset, np.ascontiguousarray(powers), ahead, total, count)
+    with np.errstate(all="ignore"):
+        error = np.sqrt(total / np.maximum(count, 1)[:, None])
+    error[count == 0] = np.nan
+    return np.asarray((error * scene.scale[:, 0]).T)
+
+
+def _gain(Phi: Array, drive: Array, C: Array, residual: Array, scene: ModelOnRecord) -> Array:
+    """Return the Kalman gain that predicts the residual best.
+
+    It assumes an unknown input, whose level is chosen.
+    """
+    n, ny = Phi.shape[0], C.shape[0]
+    if n == 0:
+        return np.zeros((0, ny))
+    # every direction of the state may be disturbed a little: an integrator must not escape
+    size = np.sqrt(np.mean(scene.states**2, axis=1))
+    size = np.where(size > 0, size, max(float(size.max(initial=0.0)), 1.0))
+    moved = drive * np.maximum(scene.data.inputs.std(axis=1), 1e-300)
+    best: tuple[float, Array] | None = None
+    for level in _LEVELS:
+        Q = level**2 * (moved @ moved.T) + (1e-3 * level) ** 2 * np.diag(size**2)
+        R = _NOISE**2 * np.eye(ny)
+        scaled = steady_filter(Phi * size / size[:, None], C * size, Q / np.outer(size, size), R)
+        K = scaled.gain * size[:, None]
+        if not np.isfinite(K).all():
+            continue
+        total, count = np.zeros((1, ny)), np.zeros(1)
+        predict(Phi, C, K, residual, scene.reset, (C @ Phi)[None].copy(), np.array([1]), total, count)
+        error = float(total.sum())
+        if np.isfinite(error) and (best is None or error < best[0]):
+            best = error, K
+    return np.zeros((n, ny)) if best is None else best[1]
+
+
+@compiled
+def predict(Phi, C, K, residual, reset, powers, ahead, total, count):  # type: ignore[no-untyped-def]
+    """Sum of squared errors of predictions of the residual, by horizon."""
+    N = residual.shape[0]
+    x = np.zeros(Phi.shape[0])
+    last = 0
+    for k in range(N):
+        if reset[k]:
+            x = np.zeros(Phi.shape[0])
+        x = x + K @ (residual[k] - C @ x)
+        if reset[k]:
+            last = k + 1
+            while last < N and not reset[last]:
+                last += 1
+        for j in range(ahead.size):
+            t = k + ahead[j]
+            if t < last:
+                error = residual[t] - powers[j] @ x
+                total[j] += error * error
+                count[j] += 1
+        x = Phi @ x

@@ -17,7 +17,7 @@ from ..engine.simulation import structure_of
 from ..results import Options, Reported, Result, picture, show
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
-from .metrics import fit_percent
+from .signals import fit_percent
 
 __all__ = ["FrequencyComparison", "LevelComparison", "compare_responses"]
 

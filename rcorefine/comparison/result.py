@@ -12,15 +12,15 @@ from ..arguments import as_whole, shown
 from ..data.measurement import Measurement
 from ..results import Options, Reported, picture, show
 from ..systems.linear import Array, LinearModel
-from .failure_map.places import Places
-from .metrics import fit_percent, root_mean_square
-from .multisine import LineLevels, line_levels
+from .failure_map.record import Places
+from .line_levels import LineLevels, line_levels
+from .signals import fit_percent, root_mean_square
 
 if TYPE_CHECKING:
     from ..data.frequency_response import FrequencyResponse
     from .failure_map.search import FailureMap
 
-__all__ = ["KINDS", "Comparison"]
+__all__ = ["KINDS", "Comparison", "best_of", "failures_of"]
 
 KINDS = ("time", "bode", "residual", "horizon", "map", "decay")
 
@@ -280,3 +280,17 @@ class Comparison(Reported):
         fits = np.atleast_2d(self.fit).mean(axis=1)
         listed = ", ".join(f"{name!r} {fit:.1f} %" for name, fit in zip(self.names, fits, strict=True))
         return f"<Comparison on {self.data.name!r}: {listed}>"
+
+
+def failures_of(result: Comparison, index: int = 0) -> FailureMap:
+    """Return the failure map of one of the models; empty where it is adequate."""
+    found = result.failures
+    chosen: FailureMap = found[index] if result.several else found
+    return chosen
+
+
+def best_of(result: Comparison) -> int:
+    """Return the index of the model that fits best, mean over the outputs."""
+    fits = np.atleast_2d(result.fit)
+    means = np.where(np.isnan(fits).all(axis=1), -np.inf, np.nan_to_num(fits, nan=0.0).mean(axis=1))
+    return int(np.argmax(means))

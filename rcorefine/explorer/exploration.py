@@ -15,8 +15,8 @@ from scipy.linalg import expm
 from ..arguments import as_choice, as_instance, as_number
 from ..arithmetic import own_arithmetic
 from ..comparison.compare import compare
-from ..comparison.failure_map.residual_force import ResidualForce, residual_force
 from ..comparison.failure_map.search import Failure
+from ..comparison.failure_map.state import ResidualForce, residual_force
 from ..comparison.result import Comparison
 from ..data.measurement import Measurement
 from ..data.records import as_record

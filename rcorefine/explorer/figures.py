@@ -12,7 +12,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, PlainText, Range1d
 from bokeh.plotting import figure
 
-from ..comparison.failure_map.residual_force import ResidualForce
+from ..comparison.failure_map.state import ResidualForce
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..exceptions import DataError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Unpack
 
@@ -14,9 +15,14 @@ from ..exceptions import ModelError
 from ..inference.f_tests import FTest
 from ..results import Options, Result, Row, picture, show
 from ..systems.linear import Array, LinearModel
-from .residual import overall
 
-__all__ = ["DamageMap", "DamageRow", "HypothesisRow", "NuisanceRow"]
+__all__ = ["DamageMap", "DamageRow", "HypothesisRow", "NuisanceRow", "overall"]
+
+
+def overall(tests: Sequence[FTest]) -> float:
+    """Smallest p-value, corrected for the number of tests."""
+    valid = [test.p_value for test in tests if test.dof]
+    return min(1.0, min(valid, default=1.0) * len(valid))
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,8 +5,9 @@ Backward elimination with refits comes first, then a search for other explanatio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,50 +19,24 @@ from ..systems.linear import Array
 from .candidates import Candidate
 from .estimate import Joint
 
-__all__ = ["Decision", "collinear_groups", "decide", "two_sided"]
+__all__ = ["Decision", "decide"]
 
 _APART = 15.0  # deviates by which a swap would worsen the fit, to first order, above which it is not tried
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Decision:
-    """Outcome of the elimination.
+class Decision(NamedTuple):
+    """Outcome of the elimination, for m candidates."""
 
-    Attributes
-    ----------
-    named : tuple of int
-        Candidates that are significant and needed.
-    rivals : dict
-        For a named candidate those that explain the record about as well in its place.
-    joint, joint_std : ndarray, shape (m,)
-        Estimates with every candidate free.
-    joint_covariance : ndarray, shape (m, m)
-        Their covariance.
-    change, std : ndarray, shape (m,)
-        Estimates of the named ones, and of each other one beside them.
-    p_value : ndarray, shape (m,)
-        Two-sided, of `change`, not corrected for multiplicity.
-    groups : tuple of tuple of int
-        Candidates whose sensitivities are nearly collinear.
-    other_valley : bool
-        Whether more changes, elsewhere, would explain the record as well.
-    """
-
-    named: tuple[int, ...]
-    rivals: dict[int, tuple[int, ...]]
-    joint: Array
-    joint_std: Array
-    joint_covariance: Array
-    change: Array
-    std: Array
-    p_value: Array
-    groups: tuple[tuple[int, ...], ...]
-    other_valley: bool
-
-
-def two_sided(z: Array) -> Array:
-    """Two-sided p-value of a normal deviate."""
-    return np.asarray(2.0 * norm.sf(np.abs(z)))
+    named: tuple[int, ...]  #: candidates that are significant and needed
+    rivals: dict[int, tuple[int, ...]]  #: by a named candidate: those that explain the record about as well
+    joint: Array  #: estimates with every candidate free, (m,)
+    joint_std: Array  #: their standard deviations, (m,)
+    joint_covariance: Array  #: their covariance, (m, m)
+    change: Array  #: estimates of the named ones, and of each other one beside them, (m,)
+    std: Array  #: their standard deviations, (m,)
+    p_value: Array  #: two-sided, of `change`, not corrected for multiplicity, (m,)
+    groups: tuple[tuple[int, ...], ...]  #: candidates whose sensitivities are nearly collinear
+    other_valley: bool  #: whether more changes, elsewhere, would explain the record as well
 
 
 def decide(joint: Joint, candidates: list[Candidate], significance: float) -> Decision:
@@ -85,53 +60,41 @@ def decide(joint: Joint, candidates: list[Candidate], significance: float) -> De
     Decision
     """
     chosen = _Selection(joint, candidates, significance)
-    joint.fit(chosen.active, reweigh=True)
-    dense = joint.point.copy()
-    chosen.eliminate()
     elsewhere, level = False, joint.problem.cost(joint.point)
     if len(chosen.kept) > 1 and joint.sparser(chosen.active, len(chosen.kept)) is not None:
         # the same response with fewer changes: decide there
         reached = joint.problem.cost(joint.point)
         elsewhere = 2.0 * (level - reached) < levels().rival * 2.0 * reached / joint.problem.n_points
         chosen = _Selection(joint, candidates, significance)
-        joint.fit(chosen.active, reweigh=True)
-        dense = joint.point.copy()
-        chosen.eliminate()
     chosen.take_back()
     joint.fit(chosen.active, reweigh=True)
     rivals = chosen.swap()
     joint.fit(chosen.active, reweigh=True)
 
-    final, everything = joint.point, _Selection(joint, candidates, significance)
-    joint.point = dense
-    joint.fit(everything.active)
-    estimate, spread, covariance = everything.estimates()
+    final = joint.point
+    joint.point = chosen.dense
+    every = np.ones_like(chosen.active)
+    joint.fit(every)
+    estimate, spread, covariance = chosen.estimates(range(len(candidates)), every)
     size = np.array([abs(c.nominal) for c in candidates])
-    groups = collinear_groups(joint, chosen.where, spread > levels().blurred * size)
+    groups = _collinear_groups(joint, chosen.where, spread > levels().blurred * size)
     joint.point = final
     joint.fit(chosen.active)
 
-    found = [chosen.estimate(i) if i in chosen.kept else chosen.beside(i) for i in range(len(candidates))]
+    values, spreads, _ = chosen.estimates(chosen.kept, chosen.active)
+    own = dict(zip(chosen.kept, zip(values, spreads, strict=True), strict=True))
+    found = [own[i] if i in own else chosen.beside(i) for i in range(len(candidates))]
     change, std = np.array(found).reshape(-1, 2).T
+    p_value = chosen.p_values(change, std, range(len(candidates)))
+    alternatives = {i: tuple(others) for i, others in rivals.items() if others}
+    named = tuple(sorted(chosen.kept))
     return Decision(
-        tuple(sorted(chosen.kept)),
-        {i: tuple(others) for i, others in rivals.items() if others},
-        estimate,
-        spread,
-        covariance,
-        change,
-        std,
-        two_sided(_deviate(change, std, chosen.tolerated)),
-        groups,
-        elsewhere,
+        named, alternatives, estimate, spread, covariance, change, std, p_value, groups, elsewhere
     )
 
 
 class _Selection:
-    """Kept candidates; the others are held at zero.
-
-    To begin with, all candidates are kept.
-    """
+    """Kept candidates after backward elimination; the others are held at zero."""
 
     def __init__(self, joint: Joint, candidates: list[Candidate], significance: float) -> None:
         self.joint, self.significance = joint, significance
@@ -140,13 +103,13 @@ class _Selection:
         self.tolerated = np.array([c.tolerated for c in candidates])
         self.active = np.ones(joint.structure.n_parameters, dtype=bool)
         self.kept = list(range(len(candidates)))
-
-    def eliminate(self) -> None:
-        """Drop the least significant candidate as long as it fails Holm's level."""
-        while self.kept:
-            value, std, _ = self.estimates()
+        joint.fit(self.active, reweigh=True)
+        #: point with every candidate free
+        self.dense = joint.point.copy()
+        while self.kept:  # drop the least significant candidate as long as it fails Holm's level
+            value, std, _ = self.estimates(self.kept, self.active)
             floor = self.floor[self.kept]
-            p = two_sided(_deviate(value, std, self.tolerated[self.kept]))
+            p = self.p_values(value, std, self.kept)
             p = np.where(np.abs(value) < floor, np.maximum(p, 0.5), p)
             # where none is seen on its own, the smallest share goes first
             order = np.lexsort((np.abs(value) / np.maximum(floor, 1e-300), -p))
@@ -155,18 +118,18 @@ class _Selection:
                 break
             self._hold(self.where[self.kept.pop(weakest)])
 
-    def estimates(self) -> tuple[Array, Array, Array]:
-        """Value, standard deviation and covariance of those that are kept."""
-        where, columns = self.where[self.kept], self.joint.columns(self.active)
+    def p_values(self, value: Array, std: Array, which: Sequence[int]) -> Array:
+        """Return two-sided p-values of changes, with tolerances allowed for."""
+        total = np.hypot(std, self.tolerated[list(which)])
+        return np.asarray(2.0 * norm.sf(np.abs(_deviate(value, total))))
+
+    def estimates(self, which: Sequence[int], active: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+        """Value, standard deviation and covariance of active candidates."""
+        where, columns = self.where[list(which)], self.joint.columns(active)
         covariance = self.joint.information().covariance(columns)
-        rows = np.array([int(np.flatnonzero(columns == c)[0]) for c in where], dtype=np.int64)
+        rows = np.searchsorted(columns, where)
         part = covariance[np.ix_(rows, rows)]
         return self.joint.theta[where], standard_deviations(part), part
-
-    def estimate(self, i: int) -> tuple[float, float]:
-        """Value and standard deviation of one that is kept."""
-        values, spreads, _ = self.estimates()
-        return values[self.kept.index(i)], spreads[self.kept.index(i)]
 
     def beside(self, i: int) -> tuple[float, float]:
         """Estimate one more candidate in addition to those that are kept.
@@ -205,7 +168,7 @@ class _Selection:
             if not left:
                 return
             value, std = np.array([self.beside(i) for i in left]).T
-            p = two_sided(_deviate(value, std, self.tolerated[left]))
+            p = self.p_values(value, std, left)
             p = np.where(np.abs(value) < self.floor[left], 1.0, p)
             best = int(np.argmin(p))
             if p[best] > self.significance / len(left):
@@ -223,8 +186,8 @@ class _Selection:
         rivals: dict[int, list[int]] = {}
         for _ in range(where.size):
             similar = np.abs(_projected(joint, where))
-            value, std, _ = self.estimates()
-            apart = dict(zip(kept, np.abs(_deviate(value, std, np.zeros(len(kept)))), strict=True))
+            value, std, _ = self.estimates(kept, self.active)
+            apart = dict(zip(kept, np.abs(_deviate(value, std)), strict=True))
             rivals = {i: [] for i in kept}
             level = joint.fit(self.active)
             scale = 2.0 * level / joint.problem.n_points
@@ -262,11 +225,8 @@ class _Selection:
         return joint.fit(trial)
 
 
-def _deviate(value: Array, std: Array, tolerated: Array) -> Array:
-    total = np.sqrt(std**2 + tolerated**2)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        z = np.where(np.isfinite(total), value / np.where(total > 0, total, 1e-300), 0.0)
-    return np.asarray(z)
+def _deviate(value: Array, std: Array) -> Array:
+    return np.where(np.isfinite(std), value / np.where(std > 0, std, 1e-300), 0.0)
 
 
 _MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
@@ -291,24 +251,12 @@ def _projected(joint: Joint, where: NDArray[np.int64]) -> Array:
     return np.asarray(unit)
 
 
-def collinear_groups(
+def _collinear_groups(
     joint: Joint, where: NDArray[np.int64], blurred: NDArray[np.bool_]
 ) -> tuple[tuple[int, ...], ...]:
-    """Candidates that the record sees only together.
+    """Return groups of candidates that the record sees only together.
 
-    Parameters
-    ----------
-    joint : Joint
-        Estimate.
-    where : ndarray of int
-        Columns of the candidates.
-    blurred : ndarray of bool
-        Candidates that the joint estimate leaves too unsure to matter on their own.
-
-    Returns
-    -------
-    tuple of tuple of int
-        Groups of two or more.
+    Those count that the joint estimate leaves too unsure (`blurred`) to matter on their own.
     """
     unit = _projected(joint, where)
     seen = np.flatnonzero(np.diag(unit) > 0)

@@ -1,29 +1,215 @@
-"""Joint estimate with exact sensitivities, some candidates held at zero."""
+"""Joint estimate with exact sensitivities, and its starting values.
+
+Far from the solution a simulation is wrong by whole periods. Starting values then come from the measured
+frequency response.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from itertools import combinations, product
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.optimize import least_squares
 
+from ..comparison.signals import fit_percent
 from ..data.measurement import Measurement
+from ..effects.springs import Stiffness
 from ..engine.observer import observer_gain
 from ..engine.structure import Structure
+from ..exceptions import DataError
 from ..gauss_newton import Rows, gauss_newton
 from ..inference.autoregression import autoregression
-from ..inference.covariance import colored, covariance, pseudo_inverse
+from ..inference.covariance import colored, covariance, pseudo_inverse, standard_deviations
 from ..inference.outcome import output_weights
 from ..inference.problem import Problem
 from ..inference.search import starting_states
 from ..inference.starts import far_starts
 from ..inference.whitening import Whitener
 from ..systems.linear import Array
-from .spectrum import sparse_starts, spectral_starts
 
-__all__ = ["Information", "Joint", "log_likelihood"]
+__all__ = ["Joint", "log_likelihood"]
+
+_POINTS = 250
+_WIDTHS = (4.0, 1.5)  # of the smoothing along the frequencies, wide to narrow
+_SINGLE = (-0.2, -0.4, -0.6, -0.75, -0.9)
+_DOUBLE = (-0.35, -0.7)
+_MOST_PAIRS = 600
+_BEST = 6  # of the grid are descended from
+_BEAM = 5  # sets of each size that grow on
+_LEAST_COHERENCE = 0.1
+
+
+class _Spectrum:
+    """Log magnitudes of the record and of the model, smoothed alike.
+
+    Raises DataError where the record has no spectrum.
+    """
+
+    def __init__(self, structure: Structure, theta: Array, record: Measurement) -> None:
+        nominal = {(q.kind, q.place): q.value for q in structure.model.parameters}
+        effects = [structure.effects[parameter.effect] for parameter in structure.parameters]
+        sizes = np.array([nominal.get((e.kind, e.place), 0.0) * (e.kind == Stiffness.name) for e in effects])
+        self.structure, self.theta = structure, theta
+        self.columns = np.flatnonzero(sizes > 0)
+        self.sizes = sizes[self.columns]
+        if not self.columns.size or not structure.is_linear:
+            raise DataError("only a linear model with stiffnesses can be compared by its spectrum")
+        measured = record.frequency_response(segment_length=max(record.n_samples // 6, 16))
+        assert measured.coherence is not None  # it comes from a record
+        usable = np.flatnonzero(
+            (measured.omega < 0.6 * np.pi / record.dt) & (measured.coherence.max(axis=0) > _LEAST_COHERENCE)
+        )
+        if usable.size > _POINTS:  # evenly on the logarithmic axis, each once
+            grid = np.geomspace(measured.omega[usable[0]], measured.omega[usable[-1]], _POINTS)
+            usable = np.unique(usable[np.searchsorted(measured.omega[usable], grid).clip(0, usable.size - 1)])
+        if usable.size < 4 * self.columns.size:
+            raise DataError("the spectrum has too few points for so many stiffnesses")
+        self.omega = measured.omega[usable]
+        self.log = np.log(np.abs(measured.response[:, :, usable]) + 1e-300)
+        self.weight = np.sqrt(np.clip(measured.coherence[:, usable], 0.0, 0.999))[:, None, :]
+
+    def moved(self, scaled: Array) -> Array:
+        """Coefficients at the stiffness ``nominal * exp(scaled)``."""
+        theta = self.theta.copy()
+        theta[self.columns] = self.sizes * np.expm1(scaled)
+        return theta
+
+    def misfit(self, scaled: Array, width: float) -> Array:
+        """Weighted difference at the stiffness ``nominal * exp(scaled)``."""
+        matrices = self.structure.matrices(self.moved(scaled))
+        nw = self.structure.n_inputs
+        # modal form: one eigenvalue problem for all frequencies
+        poles, right = np.linalg.eig(matrices.A)
+        try:
+            drive = np.linalg.solve(right, matrices.B[:, :nw].astype(complex))
+        except np.linalg.LinAlgError:
+            return np.full(self.log.size, 12.0)
+        gains = np.einsum(
+            "ym,mw,mk->ywk", matrices.C @ right, drive, 1.0 / (1j * self.omega - poles[:, None])
+        )
+        level = np.log(np.abs(gains + matrices.D[:, :nw, None]) + 1e-300)
+        difference = self.weight * np.clip(level - self.log, -12.0, 12.0)
+        smooth = gaussian_filter1d(difference, width, axis=2, mode="nearest")
+        return np.asarray(smooth).ravel()
+
+    def level(self, scaled: Array) -> float:
+        """Sum of squares of the widest smoothing."""
+        return float(np.sum(self.misfit(scaled, _WIDTHS[0]) ** 2))
+
+    def descended(self, scaled: Array, members: Sequence[int], evaluations: int) -> tuple[float, Array]:
+        """Return cost and point of a descent with less and less smoothing."""
+        free, point, cost = list(members), scaled.copy(), np.inf
+
+        def misfit(part: Array, width: float) -> Array:
+            point[free] = part
+            return self.misfit(point, width)
+
+        for width in _WIDTHS:
+            found = least_squares(
+                misfit, point[free], args=(width,), bounds=(-6.0, 3.0), max_nfev=evaluations, x_scale=0.3
+            )
+            point[free], cost = found.x, float(found.cost)
+        return cost, point
+
+
+def _losses(n: int, members: Sequence[int], losses: Sequence[float]) -> Array:
+    """Return a point with some losses of stiffness."""
+    point = np.zeros(n)
+    point[list(members)] = np.log1p(losses)
+    return point
+
+
+def spectral_starts(structure: Structure, theta: Array, record: Measurement, most: int = 3) -> list[Array]:
+    """Return stiffness changes whose smoothed response fits the measured one.
+
+    The search is a grid over single and double losses, then descents on log magnitudes with less and less
+    smoothing, so that a resonance that moved far is found, too.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model with candidates.
+    theta : ndarray, shape (p,)
+        Coefficients to start from; only stiffness moves.
+    record : Measurement
+        Record.
+    most : int
+        Number of starts to return.
+
+    Returns
+    -------
+    list of ndarray
+        The best first; empty where the record gives no frequency response.
+    """
+    try:
+        spectrum = _Spectrum(structure, theta, record)
+    except DataError:
+        return []
+    n = spectrum.columns.size
+    grid = [np.zeros(n), *(_losses(n, [i], [loss]) for i, loss in product(range(n), _SINGLE))]
+    pairs = list(combinations(range(n), 2))[: _MOST_PAIRS // len(_DOUBLE) ** 2]
+    grid += [_losses(n, pair, losses) for pair, losses in product(pairs, product(_DOUBLE, repeat=2))]
+    levels = [spectrum.level(u) for u in grid]
+    reached = [spectrum.descended(grid[k], range(n), 15) for k in np.argsort(levels)[:_BEST]]
+    kept: list[Array] = []
+    for _, u in sorted(reached, key=lambda pair: pair[0]):
+        if len(kept) < most and all(np.abs(u - other).max() > 0.02 for other in kept):
+            kept.append(u)
+    return [spectrum.moved(u) for u in kept]
+
+
+def sparse_starts(
+    structure: Structure, theta: Array, record: Measurement, largest: int, most: int = 4
+) -> list[tuple[tuple[int, ...], Array]]:
+    """Return few stiffness changes that explain the frequency response.
+
+    The sets with the fewest changes come first. With few sensors several structures can have the same
+    response (all the natural frequencies of a chain determine its stiffnesses only up to a finite choice);
+    among them the one with the fewest changes is the most plausible.
+
+    Parameters
+    ----------
+    structure : Structure
+        Model with candidates.
+    theta : ndarray, shape (p,)
+        Coefficients to start from; only stiffness moves.
+    record : Measurement
+        Record.
+    largest : int
+        Changes at most.
+    most : int
+        Number of sets of each size to return.
+
+    Returns
+    -------
+    list of (tuple of int, ndarray)
+        Columns of theta that moved, and the coefficients.
+    """
+    try:
+        spectrum = _Spectrum(structure, theta, record)
+    except DataError:
+        return []
+    n = spectrum.columns.size
+    found: list[tuple[tuple[int, ...], Array]] = []
+    beam: list[tuple[float, tuple[int, ...], Array]] = [(np.inf, (), np.zeros(n))]
+    for _ in range(min(largest, n)):
+        wider: dict[tuple[int, ...], tuple[float, tuple[int, ...], Array]] = {}
+        for (_, members, u), i in product(beam, range(n)):
+            if i not in members:
+                group = tuple(sorted((*members, i)))
+                start = min((u + _losses(n, [i], [loss]) for loss in (0.0, *_DOUBLE)), key=spectrum.level)
+                level, reached = spectrum.descended(start, group, 8)
+                if group not in wider or level < wider[group][0]:
+                    wider[group] = level, group, reached
+        beam = sorted(wider.values(), key=lambda entry: entry[0])[:_BEAM]
+        for _, members, u in beam[:most]:
+            found.append((tuple(int(spectrum.columns[i]) for i in members), spectrum.moved(u)))
+    return found
+
 
 _RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
 _SHORT = 4000  # samples of the first pass
@@ -35,23 +221,12 @@ _MOST_EVALUATIONS = 40
 _SETTLED = 1e-3  # of a standard deviation
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Information:
-    """Information of the record at a point, all candidates included.
+class Information(NamedTuple):
+    """Information of the record at a point, all candidates included."""
 
-    Attributes
-    ----------
-    gradient : ndarray, shape (p,)
-        J' r.
-    normal : ndarray, shape (p, p)
-        J' J with the priors.
-    middle : ndarray, shape (p, p)
-        Covariance of the gradient under the colour of the residual.
-    """
-
-    gradient: Array
-    normal: Array
-    middle: Array
+    gradient: Array  #: J' r, (p,)
+    normal: Array  #: J' J with the priors, (p, p)
+    middle: Array  #: covariance of the gradient under the color of the residual, (p, p)
 
     def covariance(self, columns: NDArray[np.int64]) -> Array:
         """Return the covariance of an estimate of these columns.
@@ -119,9 +294,8 @@ class Joint:
         from the measured frequency response; last scans over decades.
         The first that leaves a white residual ends the search.
         """
-        short = [self.records[0]._part(slice(0, _SHORT)), *self.records[1:2]]
-        trial = self.problem.like(records=short)
-        level = 0.5 * sum(float(np.sum((trial.weights[:, None] * r.outputs) ** 2)) for r in short)
+        trial = self._shortened()
+        level = 0.5 * sum(float(np.sum((trial.weights[:, None] * r.outputs) ** 2)) for r in trial.records)
         columns = np.arange(trial.size)
         best: tuple[float, Array] | None = None
         for theta in self._starts(trial):
@@ -134,6 +308,10 @@ class Joint:
         assert best is not None
         self.point = self._lengthened(trial, best[1])
 
+    def _shortened(self) -> Problem:
+        """Return the problem on the first samples of the first records."""
+        return self.problem.like(records=[self.records[0]._part(slice(0, _SHORT)), *self.records[1:2]])
+
     def _lengthened(self, trial: Problem, point: Array) -> Array:
         """Extend a point on shortened records to the whole records.
 
@@ -142,11 +320,11 @@ class Joint:
         theta, known = trial.unpack(point)
         if not trial.free_start:
             return np.array(theta)
+        states = known
         if len(self.records) > len(known):
             states = starting_states(self.problem, theta)
             states[: len(known)] = known
-            return self.problem.pack(theta, states)
-        return self.problem.pack(theta, known)
+        return self.problem.pack(theta, states)
 
     def _starts(self, trial: Problem) -> Iterator[Array]:
         """Yield starting values for the coefficients.
@@ -191,8 +369,7 @@ class Joint:
         cost = self.fit(active)
         scale = 2.0 * cost / self.problem.n_points
         start = self.structure.start()
-        short = [self.records[0]._part(slice(0, _SHORT)), *self.records[1:2]]
-        trial = self.problem.like(records=short)
+        trial = self._shortened()
         for members, theta in sparse_starts(self.structure, start, self.records[0], size - 1):
             few = np.ones(active.size, dtype=bool)
             few[[i for i, q in enumerate(self.structure.parameters) if q.effect < self.n_changes]] = False
@@ -226,19 +403,16 @@ class Joint:
         float
             Cost, half the weighted sum of squares.
         """
-        columns = self.columns(active)
-        for _ in range(3 if reweigh and self.noise is None else 1):
+        columns, again = self.columns(active), reweigh and self.noise is None
+        for _ in range(3 if again else 1):
             self.point, cost, self.converged = _descend(self.problem, self.point, columns, _MOST_EVALUATIONS)
             self._information = None
-            if not reweigh or self.noise is not None:
-                break
-            before, weights = (
-                self.problem.weights,
-                output_weights(self.records, None, self.problem, self.point),
-            )
-            self.problem = self.problem.like(weights=weights)
-            if np.allclose(before, weights, rtol=0.02):
-                break
+            if again:
+                before = self.problem.weights
+                weights = output_weights(self.records, None, self.problem, self.point)
+                self.problem = self.problem.like(weights=weights)
+                if np.allclose(before, weights, rtol=0.02):
+                    break
         return cost
 
     def information(self) -> Information:
@@ -262,6 +436,16 @@ class Joint:
         """
         blocks = self.problem.own_blocks(self.point)
         return np.concatenate([r for r, _, _ in blocks], axis=1) / self.problem.weights[:, None]
+
+    @property
+    def fit_percent(self) -> Array:
+        """Fit of each output in percent; NaN where it is constant."""
+        measured = np.concatenate([record.outputs for record in self.records], axis=1)
+        return fit_percent(measured, measured + self.residual)
+
+    def spread(self, active: NDArray[np.bool_]) -> Array:
+        """Return the standard deviations of `columns` at the present point."""
+        return standard_deviations(self.information().covariance(self.columns(active)))
 
     @property
     def orders(self) -> tuple[int, ...]:
@@ -332,10 +516,6 @@ def _whiteness(problem: Problem, point: Array) -> float:
 
     The minimum is over the outputs. It is 1 for a white residual.
     """
-    blocks = problem.own_blocks(point)
-    share = 1.0
-    for row in np.concatenate([r for r, _, _ in blocks], axis=1):
-        power = float(np.mean(row**2))
-        if power > 0:
-            share = min(share, autoregression(row)[1] / power)
-    return share
+    rows = np.concatenate([r for r, _, _ in problem.own_blocks(point)], axis=1)
+    powers = [(float(np.mean(row**2)), row) for row in rows]
+    return min([1.0, *(autoregression(row)[1] / power for power, row in powers if power > 0)])

@@ -1,17 +1,24 @@
-"""Damage localization: places and sizes of changes in a structure."""
+"""Damage localization: places and sizes of changes in a structure.
+
+The map of a decision has confidence intervals, detection limits, and tests of the residual.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+from scipy.stats import norm
 
 from ..arguments import as_choice, as_number, as_share, as_state
 from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
 from ..data.records import as_records
 from ..diagnosis.dead_sensors import without_dead_sensors
+from ..diagnosis.residual_tests import TestedResidual, run_tests
+from ..diagnosis.words import failed_test
 from ..effects.channels import OutputGain
 from ..effects.dampers import Damping
 from ..effects.effect import Effect
@@ -19,24 +26,154 @@ from ..engine.simulation import check_channels
 from ..engine.structure import Structure
 from ..exceptions import DataError, ExcitationWarning, IdentifiabilityWarning, warn
 from ..inference.assembly import assemble, check_settings, offset_variants
+from ..inference.f_tests import FTest
+from ..inference.fitted import FittedModel
+from ..inference.outcome import _initial_fit
 from ..inference.refinement import Refinement
-from ..inference.starts import estimated_motion
+from ..inference.sensitivities import candidate_columns
+from ..inference.starts import Motion, estimated_motion
 from ..inference.windows import windows
 from ..models.conversion import as_physical
+from ..models.library import effect_library
 from ..models.operating_point import ordered_record, refuse_point
 from ..models.physical_model import PhysicalModel
-from ..systems.linear import Array
-from .assessment import assessed
-from .candidates import as_candidates, candidate_effects, default_rule, nominal_values
-from .damage_map import DamageMap
-from .decision import decide
-from .hypotheses import Setting, named_hypotheses, rank_hypotheses
-from .residual import residual_tests
+from ..systems.linear import Array, LinearModel
+from .candidates import (
+    Candidate,
+    Setting,
+    as_candidates,
+    candidate_effects,
+    default_rule,
+    named_hypotheses,
+    nominal_values,
+    rank_hypotheses,
+)
+from .damage_map import DamageMap, DamageRow, NuisanceRow, overall
+from .damping import RATIO_NAMES, RatioStructure
+from .decision import Decision, decide
+from .estimate import Joint
 
 __all__ = ["localize_damage"]
 
 _CALIBRATION = 0.1  # relative sd of a sensor gain, where the record does not say
 _RULES = ("links", "ratio", "fixed")
+_OTHER_VALLEY = (
+    "Another set of changes, at more places, would explain the record about as well, because there are few "
+    "sensors. The result is the set with fewer places."
+)
+_UNEXPLAINED = (
+    "The changes do not explain the record: {test}. An effect is missing in the model, and a reported "
+    "change may be caused by it. Run diagnose() to find the effect."
+)
+_UNTESTED = "The record is too short to test whether the changes explain it."
+_OWN = ("change", "std", "joint", "joint_std", "p_value")  # of a row, as the decision has them
+_SHORTEST = 200  # samples of a record that can be tested
+
+
+def assessed(
+    joint: Joint,
+    candidates: Sequence[Candidate],
+    decision: Decision,
+    tests: tuple[FTest, ...],
+    rule: str,
+    significance: float,
+    power: float,
+    ranking: Any,
+    note: str,
+) -> DamageMap:
+    """The map of a decision."""
+    residual = joint.residual
+    return DamageMap(
+        name=joint.structure.linear_model.name,
+        rows=_rows(candidates, decision, significance, power),
+        groups=tuple(tuple(candidates[i].label for i in group) for group in decision.groups),
+        ranking=ranking,
+        nuisances=_nuisance_rows(joint, candidates),
+        covariance=decision.joint_covariance,
+        linear=_damaged_model(joint),
+        damping=rule,
+        significance=significance,
+        power=power,
+        fit=joint.fit_percent,
+        rmse=np.sqrt(np.mean(residual**2, axis=1)),
+        initial_fit=_initial_fit(Structure(joint.structure.model), joint.records),
+        residual_orders=joint.orders,
+        tests=tests,
+        n_samples=residual.shape[1],
+        duration=sum(r.n_samples * r.dt for r in joint.records),
+        success=joint.converged,
+        message=_message(joint, decision, tests, significance, note),
+    )
+
+
+def _rows(
+    candidates: Sequence[Candidate], decision: Decision, significance: float, power: float
+) -> tuple[DamageRow, ...]:
+    """Changes with their intervals, and what the record would have shown."""
+    left = max(len(candidates) - len(decision.named), 1)
+    reach = norm.isf(significance / (2 * left)) + norm.ppf(power)
+    rows = []
+    for i, c in enumerate(candidates):
+        share = 100.0 / c.nominal if c.nominal else np.nan
+        limit = float(max(reach * np.hypot(decision.std[i], c.tolerated), c.floor))
+        rivals = tuple(candidates[j].label for j in decision.rivals.get(i, ()))
+        own: dict[str, Any] = {name: float(getattr(decision, name)[i]) for name in _OWN}
+        own |= {"percent": own["change"] * share, "percent_std": own["std"] * abs(share)}
+        own |= {"limit": limit, "limit_percent": limit * abs(share)}
+        what = c.name, c.kind, c.place, c.nominal, c.unit
+        rows.append(DamageRow(*what, named=i in decision.named, rivals=rivals, **own))
+    return tuple(rows)
+
+
+def _damaged_model(joint: Joint) -> LinearModel:
+    """The model with the changes that are named."""
+    structure = joint.structure
+    matrices = structure.matrices(joint.theta.astype(float))
+    nw = structure.n_inputs
+    return structure.linear_model.with_arrays(
+        A=matrices.A, B=matrices.B[:, :nw], C=matrices.C, D=matrices.D[:, :nw],
+        state_labels=tuple(structure.state_labels()),
+    )  # fmt: skip
+
+
+def _message(
+    joint: Joint, decision: Decision, tests: tuple[FTest, ...], significance: float, note: str
+) -> str:
+    explained = "" if tests else _UNTESTED
+    if tests and overall(tests) < significance:
+        worst = min((test for test in tests if test.dof), key=lambda test: test.p_value)
+        explained = _UNEXPLAINED.format(test=failed_test(worst))
+    parts = (
+        "Converged." if joint.converged else "Not converged; the values may be inaccurate.",
+        explained,
+        _OTHER_VALLEY if decision.other_valley else "",
+        note,
+    )
+    return " ".join(part for part in parts if part)
+
+
+def _nuisance_rows(joint: Joint, candidates: Sequence[Candidate]) -> tuple[NuisanceRow, ...]:
+    structure = joint.structure
+    taken = [c.column for c in candidates]
+    active = np.ones(structure.n_parameters, dtype=bool)
+    active[taken] = joint.theta[taken] != 0
+    columns, spread = joint.columns(active), joint.spread(active)
+    rows = []
+    for i, parameter in enumerate(structure.parameters):
+        if i in taken:
+            continue
+        std = float(spread[int(np.flatnonzero(columns == i)[0])])
+        value = float(joint.theta[i])
+        if parameter.label == RATIO_NAMES[0]:
+            rows.append(NuisanceRow("damping relative to the model", 1.0 + value, std, ""))
+        elif parameter.label == RATIO_NAMES[1]:
+            rows.append(NuisanceRow("share of the damping proportional to stiffness", value, std, ""))
+        else:
+            rows.append(NuisanceRow(parameter.label, value, std, structure.unit(parameter)))
+    return tuple(rows)
+
+
+# ---------------------------------------------------------------------- tests
 
 
 def localize_damage(
@@ -246,3 +383,56 @@ def _spread(effect: Effect, role: str, nominal: Mapping[tuple[str, str], float],
         return _CALIBRATION if role == "gain" else np.inf
     size = 1.0 if effect.spec.relative else abs(nominal.get((effect.kind, effect.place), 0.0))
     return tolerance * size if size > 0 else np.inf
+
+
+class _Held(NamedTuple):
+    """Attributes of a refinement that `FittedModel` needs."""
+
+    physical_model: PhysicalModel
+    effects: tuple[Effect, ...]
+    constants: dict[int, float]
+    roles: tuple[str, ...]
+    substeps: int
+
+
+def residual_tests(joint: Joint) -> tuple[FTest, ...]:
+    """Test the residual at the estimate, as `diagnose` does.
+
+    All candidates and nuisance parameters are projected out. The result is empty where a record is too short
+    to test.
+    """
+    if min(record.n_samples for record in joint.records) < _SHORTEST:
+        return ()
+    physical, effects, theta = _plain(joint.structure, joint.theta)
+    structure = Structure(physical, effects, constants=joint.structure.constants)
+    old, role = joint.problem, ("effect",) * len(effects)
+    mean, sd = old.prior_mean[: theta.size], old.prior_sd[: theta.size]
+    problem = old.like(structure, prior_mean=mean, prior_sd=sd, hold_brief=True)
+    held = _Held(physical, effects, dict(structure.constants), role, old.substeps)
+    starts = joint.problem.unpack(joint.point)[1]
+    fitted = FittedModel(cast(Any, held), problem, problem.pack(theta, starts), 0.0)
+    motions = [Motion(structure, theta, record) for record in joint.records]
+    motions[0].companions = motions[1:]
+    taken = {(effect.kind, effect.place) for effect in effects}
+    library = [e for e in effect_library(physical) if (e.kind, e.place) not in taken]
+    return tuple(
+        run_tests(TestedResidual(fitted), candidate_columns(fitted, library, motions[0], (0.0,)), motions)
+    )
+
+
+def _plain(structure: Structure, theta: Array) -> tuple[PhysicalModel, tuple[Effect, ...], Array]:
+    """Return the model, effects and coefficients without the damping rule.
+
+    The state matrix holds the damping that the rule gave.
+    """
+    if not isinstance(structure, RatioStructure):
+        return structure.model, tuple(structure.effects), theta
+    laws = [structure.effects[q.effect].spec for q in structure.parameters]
+    masses = [law.inertial for law in laws]
+    changes = [law.is_element and not law.inertial for law in laws]
+    model = structure.model
+    A = structure.matrices(np.where(masses, 0.0, theta)).A.real
+    C, D = model.output_state + model.output_rate @ A, model.linear.D
+    ruled = replace(model, linear=model.linear.with_arrays(A=A, B=model.linear.B, C=C, D=D))
+    count = structure.ratio_columns[0]
+    return ruled, tuple(structure.effects[:-1]), np.where(changes, 0.0, theta)[:count]

@@ -10,17 +10,14 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ..arguments import as_choice
-from ..comparison.correlation import correlogram
-from ..comparison.decay import Decay, decay_of
-from ..comparison.horizon import horizon_error
-from ..comparison.residual_tests import TestTable
+from ..comparison.model_error import horizon_error
 from ..comparison.result import KINDS, Comparison
+from ..comparison.signals import Decay, correlogram, decay_of
 from ..exceptions import DataError
-from ..words import chance
 from .bode import bode
 from .failure_map import plot_map
 from .figures import BAND, MEASURED, Frame, busiest_stretch, draws, plain, style, trace, unit_text
-from .tables import Table, cells, number, tabulates
+from .tables import Table, number, tabulates
 
 
 def plot_decay(result: Comparison, frame: Frame) -> ct.ControlPlot:
@@ -210,16 +207,6 @@ def _focus(axis: Any, measured: Any, runs: Any) -> None:
 
 
 _LAGS = 25
-
-
-@tabulates(TestTable)
-def tests_table(tests: TestTable) -> Table:
-    """One row per test and signal."""
-    rows = [[*cells(r, "test signal statistic:.4g dof"), chance(r.p_value)] for r in tests.rows]
-    failed = ", ".join(dict.fromkeys(row.test for row in tests.failed()))
-    verdict = "No test is significant at 1 %, corrected for the number of tests."
-    notes = [f"Significant at 1 %: {failed}." if failed else verdict, tests.note]
-    return Table(["test", "signal", "statistic", "dof", "p-value"], rows, notes=notes, left=2)
 
 
 def plot_residual(result: Comparison, frame: Frame) -> ct.ControlPlot:

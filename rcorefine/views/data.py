@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ..comparison.adequacy import failures_of
 from ..comparison.failure_map.search import Failure, FailureMap
-from ..comparison.result import Comparison
+from ..comparison.result import Comparison, failures_of
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..diagnosis.open_law import HiddenForce

@@ -7,8 +7,8 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..comparison.failure_map.residual_force import residual_force
 from ..comparison.failure_map.search import FailureMap
+from ..comparison.failure_map.state import residual_force
 from ..comparison.model_error import model_error
 from ..comparison.result import Comparison
 from ..exceptions import DataError

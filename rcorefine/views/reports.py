@@ -10,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ..comparison.adequacy import best_of, failures_of
 from ..comparison.compare import compare
 from ..comparison.responses import FrequencyComparison
-from ..comparison.result import Comparison
+from ..comparison.result import Comparison, best_of, failures_of
 from ..data.levels import stretches_by_level
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency

@@ -1,4 +1,4 @@
-"""Failures in amplitude: nonlinear inputs, responses that do not scale.
+"""Failures in amplitude: nonlinear inputs, level dependence, distortion.
 
 A nonlinear input acts less or more than in proportion to its value.
 """
@@ -12,58 +12,38 @@ from scipy.signal import hilbert
 
 from ...systems.linear import Array
 from ...words import frequency_text
-from .bands import band_columns
+from ..line_levels import excited_lines
+from .frequency import band_columns
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
 
-__all__ = ["input_laws", "level_dependence"]
+__all__ = ["distortions", "input_laws", "level_dependence"]
 
 
-# What an input does beside the model's input where it has a level g, the region and what that means.
-_LEVELS: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
-    (
-        "dead zone",
-        lambda w, g: -np.clip(w, -g, g),
-        "|{n}| < {g}",
-        "Small values of {n} (below {g}) have less effect than in the model: a dead zone.",
-    ),
-    (
-        "saturation",
-        lambda w, g: np.clip(w, -g, g) - w,
-        "|{n}| > {g}",
-        "Values of {n} beyond {g} have less effect than in the model: the actuator saturates.",
-    ),
+_Law = Callable[[Array, float], Array]
+# What an input does beside the model's input where it has a level g, and the region.
+_LEVELS: tuple[tuple[str, _Law, str], ...] = (
+    ("dead zone", lambda w, g: -np.clip(w, -g, g), "|{n}| < {g}"),
+    ("saturation", lambda w, g: np.clip(w, -g, g) - w, "|{n}| > {g}"),
 )
 # The same without a level; the spread of the input keeps the unit.
-_SHAPES: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
-    (
-        "asymmetry",
-        lambda w, spread: np.abs(w),
-        "the two signs of {n}",
-        "The gain of {n} differs between positive and negative values.",
-    ),
-    (
-        "odd distortion",
-        lambda w, spread: w**3 / spread**2,
-        "large |{n}|",
-        "The gain of {n} changes at large values, equally for both signs.",
-    ),
-    (
-        "even distortion",
-        lambda w, spread: w**2 / spread,
-        "large |{n}|",
-        "The effect of {n} has a quadratic part: it has the same direction for both signs.",
-    ),
+_SHAPES: tuple[tuple[str, _Law, str], ...] = (
+    ("asymmetry", lambda w, spread: np.abs(w), "the two signs of {n}"),
+    ("odd distortion", lambda w, spread: w**3 / spread**2, "large |{n}|"),
+    ("even distortion", lambda w, spread: w**2 / spread, "large |{n}|"),
 )
 # An input of one sign has no sides.
-_ONE_SIDED: tuple[tuple[str, Callable[[Array, float], Array], str, str], ...] = (
-    (
-        "curvature",
-        lambda w, spread: w**2 / spread,
-        "large |{n}|",
-        "The gain of {n} differs between large and small values.",
-    ),
+_ONE_SIDED: tuple[tuple[str, _Law, str], ...] = (
+    ("curvature", lambda w, spread: w**2 / spread, "large |{n}|"),
 )
+_SENTENCES = {
+    "dead zone": "Small values of {n} (below {g}) have less effect than in the model: a dead zone.",
+    "saturation": "Values of {n} beyond {g} have less effect than in the model: the actuator saturates.",
+    "asymmetry": "The gain of {n} differs between positive and negative values.",
+    "odd distortion": "The gain of {n} changes at large values, equally for both signs.",
+    "even distortion": "The effect of {n} has a quadratic part: it has the same direction for both signs.",
+    "curvature": "The gain of {n} differs between large and small values.",
+}
 _OTHER_SIGN = 0.01  # of an input's energy: with less of it, the input has one sign
 
 
@@ -88,28 +68,27 @@ def _with_level(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
     levels = levels[levels > 0]
     if levels.size < 3:
         return
-    for kind, law, where, sentence in _LEVELS:
+    for kind, law, where in _LEVELS:
 
-        def shape(g: float, law: Callable[[Array, float], Array] = law) -> Array:
-            return scene.driven([(j, law(w, g))])[0]
+        def acting(values: Array, law: _Law = law) -> Array:
+            return np.array(scene.driven([(j, law(w, g)) for g in values]))
 
-        one = scene.evidence.searched(shape, levels[::2], scaled=True)
-        g = float(one.values[-1])
-        text = {"n": name, "g": f"{g:.3g}{' ' + unit if unit else ''}"}
-        values = {"input": name, "level": g, "factor": float(one.values[0]), "kind": kind}
-        yield Finding("amplitude", where.format(**text), kind, one, 2, 12, sentence.format(**text), values)
+        one = scene.evidence.searched(acting, levels[::2], scaled=True)
+        factor, g = map(float, one.values)
+        text = {"n": name, "g": f"{g:.3g} {unit}".rstrip()}
+        values = {"input": name, "level": g, "factor": factor, "kind": kind}
+        where, sentence = where.format(**text), _SENTENCES[kind].format(**text)
+        yield Finding("amplitude", where, kind, one, 2, 12, sentence, values)
 
 
 def _with_shape(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
     w, name = scene.data.inputs[j], scene.data.input_labels[j]
     energy = float(np.sum(np.maximum(w, 0.0) ** 2)) / float(w @ w)
     shapes = _SHAPES if _OTHER_SIGN < energy < 1.0 - _OTHER_SIGN else _ONE_SIDED
-    columns = scene.driven([(j, shape(w, float(w.std()))) for _, shape, _, _ in shapes])
-    for (kind, _, where, sentence), column in zip(shapes, columns, strict=True):
-        yield Finding(
-            "amplitude", where.format(n=name), kind, scene.evidence.linear([column]), 1, 3,
-            sentence.format(n=name), {"input": name, "kind": kind},
-        )  # fmt: skip
+    columns = scene.driven([(j, shape(w, float(w.std()))) for _, shape, _ in shapes])
+    for (kind, _, where), column in zip(shapes, columns, strict=True):
+        one, values, text = scene.evidence.linear([column]), {"input": name, "kind": kind}, _SENTENCES[kind]
+        yield Finding("amplitude", where.format(n=name), kind, one, 1, 3, text.format(n=name), values)
 
 
 def level_dependence(scene: ModelOnRecord) -> list[Finding]:
@@ -140,14 +119,43 @@ def level_dependence(scene: ModelOnRecord) -> list[Finding]:
         if every.gain - best.gain > 8 * np.log(scene.n_samples):
             best, dof = every, 10
         own = Explanation(best.fit - base.fit, best.gain - base.gain, best.values)
-        name = scene.named(i)
-        near = frequency_text(float(centers[k]))
-        found.append(
-            Finding(
-                "amplitude", f"{name} near {near}", "level dependence", own, dof, centers.size,
-                f"Near {near} the response of {name} is not proportional to its level, so the system is "
-                "nonlinear there.",
-                {"output": name, "omega": float(centers[k]), "kind": "level"},
+        name, near = scene.named(i), frequency_text(float(centers[k]))
+        text = (
+            f"Near {near} the response of {name} is not proportional to its level, so the system is "
+            "nonlinear there."
+        )
+        values, where = {"output": name, "omega": float(centers[k]), "kind": "level"}, f"{name} near {near}"
+        found.append(Finding("amplitude", where, "level dependence", own, dof, centers.size, text, values))
+    return found
+
+
+def distortions(scene: ModelOnRecord) -> list[Finding]:
+    """Find distortion at harmonics that a periodic input does not contain.
+
+    Even and odd harmonics are separate findings (Pintelon and Schoukens).
+    """
+    lines = excited_lines(scene.data.inputs)
+    if lines is None or len(scene.starts) > 1:
+        return []
+    period, excited, base = lines
+    harmonic = np.arange(excited.size) / base
+    reached = ~excited & (harmonic > 0) & (harmonic <= 5 * harmonic[excited].max())
+    found = []
+    for parity, word, shape in ((0, "even", "is asymmetric"), (1, "odd", "is the same on both sides")):
+        wanted = reached & (harmonic % 2 == parity)
+        for i in range(scene.n_outputs if wanted.any() else 0):
+            r, name = scene.residual[i], scene.named(i)
+            whole = r.size // period - 1  # the first period settles
+            spectrum = np.fft.rfft(r[r.size - whole * period :].reshape(whole, period).mean(axis=0))
+            wave = np.fft.irfft(np.where(wanted, spectrum, 0.0), period)
+            fit = scene.only(i, np.tile(wave, whole + 2)[(whole + 2) * period - r.size :])
+            level = 20.0 * np.log10(max(float(wave.std() / max(scene.measured[i].std(), 1e-300)), 1e-12))
+            text = (
+                f"{name} contains {word} harmonics that the input does not ({level:.0f} dB of its level): a "
+                f"nonlinearity that {shape}."
             )
-        )  # fmt: skip
+            one = Explanation(fit, scene.evidence.gain(fit), np.array([level]))
+            values = {"output": name, "level_dB": level, "kind": "distortion", "parity": word}
+            where, measure, dof = f"{word} harmonics at {name}", f"{word} distortion", 2 * int(wanted.sum())
+            found.append(Finding("amplitude", where, measure, one, dof, 2, text, values))
     return found

@@ -1,21 +1,27 @@
-"""Failures in frequency: modes and corners that lie elsewhere."""
+"""Failures in frequency: modes and corners elsewhere, and bands."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
+from ...exceptions import RCOError, unheard
+from ...systems.conversion import d2c
 from ...systems.linear import Array, LinearModel
-from ...words import frequency_text
+from ...words import frequency_text, phase_text
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
 
-__all__ = ["modes", "modes_together", "shifts"]
+__all__ = ["band_columns", "bands", "modes"]
 
 _MOST_TOGETHER = 8
+_BANDS = 20
+_HALF = 0.4  # share of the largest deviation that still belongs to the band
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,14 +66,10 @@ def find_modes(model: LinearModel) -> list[Mode]:
     if model.n_states == 0:
         return []
     values, right = np.linalg.eig(model.A)
-    if np.linalg.cond(right) > 1e10:
-        # a double pole has no modes of its own; those that lie apart still have
-        left = np.linalg.pinv(right)
-    else:
-        left = np.linalg.inv(right)
+    # a double pole has no modes of its own; those that lie apart still have
+    left = np.linalg.pinv(right) if np.linalg.cond(right) > 1e10 else np.linalg.inv(right)
     found: list[Mode] = []
-    order = np.argsort(np.abs(values))
-    for i in order:
+    for i in np.argsort(np.abs(values)):
         pole = complex(values[i])
         if pole.imag < 0 or pole.real >= -1e-9 * abs(pole) or abs(pole) < 1e-9 * np.abs(values).max():
             continue
@@ -84,8 +86,10 @@ class Shift:
 
     def __init__(self, scene: ModelOnRecord, mode: Mode) -> None:
         self.scene, self.mode = scene, mode
-        self.before = self._motion(mode.pole) if not self._fast(mode.pole) else np.zeros_like(scene.run)
-        self.seen = not self._fast(mode.pole) and bool(np.any(np.abs(self.before) > 1e-9))
+        self.before = np.zeros_like(scene.run) if self._fast(mode.pole) else self._motion(mode.pole)
+        self.seen = bool(np.any(np.abs(self.before) > 1e-9))
+        #: number of unknowns: place of the pole, and the mode's size
+        self.size = 3 if mode.paired else 2
 
     def _fast(self, pole: complex) -> bool:
         return bool(abs(pole) * self.scene.dt > np.pi)
@@ -105,7 +109,8 @@ class Shift:
         out = np.zeros_like(scene.run)
         for j, w in enumerate(scene.data.inputs):
             if np.any(residue[:, j]) and np.any(w):
-                motion = scene.section(np.array([end, held - end]), np.array([1.0, -move]), w)
+                parts = np.split(w, scene.starts[1:])  # begun anew with each free run
+                motion = np.concatenate([lfilter([end, held - end], [1.0, -move], part) for part in parts])
                 out += np.outer(residue[:, j].real, motion.real) - np.outer(residue[:, j].imag, motion.imag)
         return np.asarray(out / scene.scale)
 
@@ -119,11 +124,6 @@ class Shift:
         omega = self.mode.omega * np.exp(np.clip(point[0], -1.5, 1.5))
         zeta = min(self.mode.zeta * float(np.exp(np.clip(point[1], -6, 6))), 0.999)
         return complex(-zeta * omega, omega * np.sqrt(1.0 - zeta**2))
-
-    @property
-    def size(self) -> int:
-        """Number of unknowns: place of the pole, and the mode's size."""
-        return 3 if self.mode.paired else 2
 
     def __call__(self, point: Array) -> Array:
         """Change of the outputs at a point."""
@@ -141,32 +141,35 @@ class Shift:
             return np.zeros_like(change)
         motion = np.exp(pole * scene.dt * np.arange(scene.n_samples))
         waves = (self.mode.shape[:, None] * motion[None]) / scene.scale
-        columns = [waves.real, waves.imag] if self.mode.paired else [waves.real]
-        left = [scene.evidence.without_nuisance(c).ravel() for c in columns]
-        target = (scene.residual - scene.evidence.without_nuisance(change)).ravel()
-        basis = np.array(left).T
-        size = np.linalg.norm(basis, axis=0)
+        columns = np.array([waves.real, waves.imag] if self.mode.paired else [waves.real])
+        *left, target = scene.evidence.without_nuisance(np.array([*columns, scene.residual - change]))
+        basis = np.reshape(left, (len(columns), -1))
+        size = np.linalg.norm(basis, axis=1)
         if not np.all(size > 1e-9):
             return np.zeros_like(change)
-        best = np.linalg.lstsq(basis / size, target, rcond=1e-6)[0] / size
-        return np.asarray(np.tensordot(best, np.array(columns), 1))
+        unit = basis / size[:, None]
+        best = np.linalg.lstsq(unit @ unit.T, unit @ target.ravel(), rcond=1e-12)[0] / size
+        return np.asarray(np.tensordot(best, columns, 1))
 
 
-def shifts(scene: ModelOnRecord) -> list[Shift]:
-    """Modes that the inputs reach."""
-    model = scene.continuous
+def modes(scene: ModelOnRecord) -> list[Finding]:
+    """Each mode that the inputs reach moved on its own, and several at once."""
+    model: LinearModel | None = scene.model
+    if not scene.model.is_continuous:
+        try:
+            with unheard():
+                model = LinearModel.from_statespace(d2c(scene.model.with_arrays(dt=scene.dt).to_statespace()))
+        except (RCOError, np.linalg.LinAlgError):
+            model = None
     if model is None or not np.any(scene.data.inputs):
         return []
-    return [shift for shift in (Shift(scene, mode) for mode in find_modes(model)) if shift.seen]
-
-
-def modes(scene: ModelOnRecord, found: Sequence[Shift]) -> list[Finding]:
-    """Each mode moved on its own."""
-    findings = []
-    for shift in found:
-        one = _searched(scene, shift)
-        findings.append(_finding(scene, [shift], [one.values], one, len(found)))
-    return findings
+    shifts = [shift for shift in (Shift(scene, mode) for mode in find_modes(model)) if shift.seen]
+    single = [(shift, _searched(scene, shift)) for shift in shifts]
+    found = [_finding(scene, [shift], [one.values], one, len(shifts)) for shift, one in single]
+    used = [pair for pair in sorted(single, key=lambda pair: -pair[1].gain) if pair[1].gain > 0][
+        :_MOST_TOGETHER
+    ]
+    return found + (_together(scene, used) if len(used) > 1 else [])
 
 
 def _searched(scene: ModelOnRecord, shift: Shift) -> Explanation:
@@ -183,78 +186,53 @@ def _searched(scene: ModelOnRecord, shift: Shift) -> Explanation:
         ]
     else:
         places = [np.array([dp, 0.0]) for dp in np.log([0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2, 3, 5])]
-    costs = [evidence.misfit(shift(p)) for p in places]
+    costs = [evidence.misfits(shift(p)[None])[0] for p in places]
     best = evidence.descended(shift, places[int(np.argmin(costs))])
     scene.known[shift.mode.number] = best.values
     return best
 
 
-def modes_together(scene: ModelOnRecord, found: Sequence[Shift], single: Sequence[Finding]) -> list[Finding]:
-    """All modes moved at once, where there are several."""
-    worth = sorted(zip(found, single, strict=True), key=lambda pair: -pair[1].explanation.gain)
-    chosen = [pair for pair in worth if pair[1].explanation.gain > 0][:_MOST_TOGETHER]
-    if len(chosen) < 2:
-        return []
+def _together(scene: ModelOnRecord, chosen: Sequence[tuple[Shift, Explanation]]) -> list[Finding]:
     used = [shift for shift, _ in chosen]
     cuts = np.cumsum([shift.size for shift in used])[:-1]
 
     def shape(point: Array) -> Array:
         parts = np.split(point, cuts)
-        every = [shift(part) for shift, part in zip(used, parts, strict=True)]
-        return np.asarray(np.sum(every, axis=0))
+        return np.asarray(np.sum([shift(part) for shift, part in zip(used, parts, strict=True)], axis=0))
 
-    starts = [
-        np.concatenate([finding.explanation.values for _, finding in chosen]),
-        np.zeros(sum(s.size for s in used)),
-    ]
-    start = min(starts, key=lambda point: scene.evidence.misfit(shape(point)))
-    best = scene.evidence.descended(shape, start, evaluations=15)
+    point = np.concatenate([one.values for _, one in chosen])
+    starts = [point, np.zeros(point.size)]
+    costs = scene.evidence.misfits(np.array([shape(start) for start in starts]))
+    best = scene.evidence.descended(shape, starts[int(np.argmin(costs))], evaluations=15)
     return [_finding(scene, used, np.split(best.values, cuts), best, 1)]
 
 
 def _finding(
     scene: ModelOnRecord, used: Sequence[Shift], points: Sequence[Array], one: Explanation, tried: int
 ) -> Finding:
-    energy = [
-        float(np.sum(scene.evidence.without_nuisance(s(p)) ** 2)) for s, p in zip(used, points, strict=True)
-    ]
-    order = np.argsort(energy)[::-1]
+    shapes = np.array([shift(point) for shift, point in zip(used, points, strict=True)])
+    energy = np.sum(scene.evidence.without_nuisance(shapes) ** 2, axis=(1, 2))
     texts, rows = [], []
-    for k in order:
-        shift, point = used[k], points[k]
-        new = shift.pole(point)
-        rows.append(
-            {
-                "mode": shift.mode.number,
-                "omega_model": shift.mode.omega,
-                "omega": abs(new),
-                "zeta_model": shift.mode.zeta,
-                "zeta": -new.real / abs(new),
-                "size": float(np.exp(point[-1])),
-            }
-        )
-        texts.append(_moved(rows[-1], shift.mode.paired))
-    lead = rows[0]
-    half = 3.0 * max(lead["zeta"] * lead["omega"], abs(lead["omega"] - lead["omega_model"]))
-    low = max(min(lead["omega"], lead["omega_model"]) - half, 0.0)
-    high = max(lead["omega"], lead["omega_model"]) + half
-    paired = used[order[0]].mode.paired
+    for k in np.argsort(energy)[::-1]:
+        mode, new = used[k].mode, used[k].pole(points[k])
+        row = {"mode": mode.number, "omega_model": mode.omega, "zeta_model": mode.zeta}
+        row |= {"omega": abs(new), "zeta": -new.real / abs(new), "size": float(np.exp(points[k][-1]))}
+        rows.append(row)
+        texts.append(_moved(row, mode.paired))
+    lead, paired = rows[0], used[int(np.argmax(energy))].mode.paired
+    ends = sorted([lead["omega"], lead["omega_model"]])
+    half = 3.0 * max(lead["zeta"] * lead["omega"], ends[1] - ends[0])
+    low, high = max(ends[0] - half, 0.0), ends[1] + half
     if not paired:
         low, high = 0.2 * lead["omega"], 5.0 * lead["omega"]
-    name = "mode" if paired else "corner"
-    where = f"{name} {lead['mode']} at {frequency_text(lead['omega'])}"
-    if len(rows) > 1:
-        where = f"{where} and {len(rows) - 1} more"
-    return Finding(
-        "frequency",
-        where,
-        name if len(rows) == 1 else "modes",
-        one,
-        sum(s.size for s in used),
-        25 * tried,
-        "; ".join(texts[:3]) + (f"; {len(texts) - 3} more" if len(texts) > 3 else "") + ".",
-        {"low": low, "high": high, "modes": rows, "kind": "modes" if len(rows) > 1 else "mode"},
+    name, more = "mode" if paired else "corner", len(rows) - 1
+    where = f"{name} {lead['mode']} at {frequency_text(lead['omega'])}" + (
+        f" and {more} more" if more else ""
     )
+    text = "; ".join(texts[:3]) + (f"; {len(texts) - 3} more" if len(texts) > 3 else "") + "."
+    values = {"low": low, "high": high, "modes": rows, "kind": "modes" if more else "mode"}
+    dof = sum(shift.size for shift in used)
+    return Finding("frequency", where, "modes" if more else name, one, dof, 25 * tried, text, values)
 
 
 def _moved(row: dict[str, float], paired: bool) -> str:
@@ -267,3 +245,71 @@ def _moved(row: dict[str, float], paired: bool) -> str:
         f"{what} at {there} is at {here} in the record ({more} %), {damping if paired else ''}its amplitude "
         f"is {row['size']:.3g} times that of the model"
     )
+
+
+def bands(scene: ModelOnRecord) -> list[Finding]:
+    """Bands in which an output is a smooth factor (complex) off the model."""
+    top = np.pi / scene.dt
+    centers = np.geomspace(max(8.0 * np.pi / (scene.n_samples * scene.dt), 1e-3 * top), top, _BANDS)
+    return [_band(scene, i, centers) for i in range(scene.n_outputs)]
+
+
+def band_columns(scene: ModelOnRecord, i: int, centers: Array) -> list[Array]:
+    """In-phase and quadrature part of an output's run in overlapping bands."""
+    n = scene.n_samples
+    run = scene.run[i] - scene.run[i].mean()
+    size = 1 << int(n + n // 8).bit_length()
+    spectrum = np.fft.rfft(run, size)
+    omega = 2.0 * np.pi * np.fft.rfftfreq(size, scene.dt)
+    position = np.interp(
+        np.log(np.maximum(omega, 1e-3 * centers[0])), np.log(centers), np.arange(centers.size)
+    )
+    columns = []
+    for k in range(centers.size):
+        hat = np.maximum(1.0 - np.abs(position - k), 0.0)
+        columns += [scene.only(i, np.fft.irfft(spectrum * hat * factor, size)[:n]) for factor in (1.0, -1j)]
+    return columns
+
+
+def _band(scene: ModelOnRecord, i: int, centers: Array) -> Finding:
+    """Contiguous band that explains most for its width."""
+    columns = band_columns(scene, i, centers)
+    white, target = scene.evidence.white(columns)
+    gram, along = white.T @ white, white.T @ target
+    total, n = float(target @ target), target.size
+    gram += (1e-9 * np.trace(gram) / len(gram) + 1e-300) * np.eye(len(gram))
+    best, where = -np.inf, (0, 1)
+    for a in range(centers.size):
+        for b in range(a + 1, centers.size + 1):
+            part = slice(2 * a, 2 * b)
+            taken = float(along[part] @ np.linalg.solve(gram[part, part], along[part]))
+            worth = -n * np.log(max(1.0 - taken / total, 1e-12)) - 2 * (b - a) * np.log(scene.n_samples)
+            if worth > best:
+                best, where = worth, (a, b)
+    a, b = where
+    part = slice(2 * a, 2 * b)
+    one = scene.evidence.linear(columns[part])
+    gains = 1.0 + one.values[0::2] + 1j * one.values[1::2]
+    off = np.abs(gains - 1.0)
+    spread = np.sqrt(np.abs(np.diag(np.linalg.inv(gram[part, part]))))
+    # most: by the factor itself, where it is sure, not by the energy that happens to be there
+    sure = off - 2.0 * np.hypot(spread[0::2], spread[1::2])
+    strongest = int(np.argmax(sure))
+    factor = complex(gains[strongest])
+    first, last = strongest, strongest
+    while first > 0 and sure[first - 1] > _HALF * off[strongest]:
+        first -= 1
+    while last + 1 < off.size and sure[last + 1] > _HALF * off[strongest]:
+        last += 1
+    low = float(np.sqrt(centers[a + first] * centers[max(a + first - 1, 0)])) if a + first else 0.0
+    high = float(np.sqrt(centers[a + last] * centers[min(a + last + 1, centers.size - 1)]))
+    name, center, phase = scene.named(i), float(centers[a + strongest]), float(np.angle(factor))
+    ends = frequency_text(low), frequency_text(high)
+    text = (
+        f"{name} differs from the model between {ends[0]} and {ends[1]}: most near {frequency_text(center)}, "
+        f"where it is {abs(factor):.3g} times as large and {phase_text(phase)} the model."
+    )
+    values: dict[str, Any] = {"output": name, "kind": "band", "low": low, "high": high}
+    values |= {"center": center, "factor": abs(factor), "phase": phase}
+    region = f"{ends[0]} ... {ends[1]}, {name}"
+    return Finding("frequency", region, "band", one, 2 * (b - a), centers.size, text, values)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,14 +38,14 @@ class Explanation:
         Twice the log-likelihood that it adds.
     values : ndarray
         What was fitted: coefficients, then what was searched for.
-    level : ndarray of shape (n_y, N) or None
-        What it says about constant offsets, of which `fit` is free; None for nothing.
+    level : ndarray of shape (n_y, N), or 0
+        What it says about constant offsets, of which `fit` is free.
     """
 
     fit: Array
     gain: float
     values: Array
-    level: Array | None = None
+    level: Array | float = 0.0
 
 
 class ResidualLikelihood:
@@ -72,46 +72,42 @@ class ResidualLikelihood:
         self.edges = [*starts, self.n_samples]
         self._bases: dict[int, Array] = {}
         if initial is not None:
-            for length in {b - a for a, b in zip(self.edges[:-1], self.edges[1:], strict=True)}:
+            for length in {b - a for a, b in pairwise(self.edges)}:
                 rows = np.moveaxis(initial[:length], 0, 1).reshape(self.n_outputs * length, -1)
                 u, s, _ = np.linalg.svd(rows, full_matrices=False)
                 self._bases[length] = u[:, s > 1e-8 * s.max(initial=0.0)]
         self.order = highest_order(self.n_samples)
-        self.constants = [
-            self._initial_out(np.eye(self.n_outputs)[i][:, None] * np.ones(self.n_samples))
-            for i in range(self.n_outputs)
-        ]
-        self.with_offset = self._initial_out(residual)
-        self.residual = self.without_nuisance(residual)
-        self.use(self.residual)
-        self.base = self.log_likelihood(self.residual)
+        ones = np.eye(self.n_outputs)[:, :, None] * np.ones(self.n_samples)
+        self.constants = self._initial_out(ones)
+        u, s, _ = np.linalg.svd(self.constants.reshape(self.n_outputs, -1).T, full_matrices=False)
+        self._constant_basis = u[:, s > 1e-6 * np.sqrt(self.n_samples)]
+        self._begin(self.without_nuisance(residual), self._initial_out(residual))
+
+    def _begin(self, residual: Array, with_offset: Array) -> None:
+        self.residual, self.with_offset = residual, with_offset
+        self.use(residual)
+        self.base = self.log_likelihood(residual)
 
     # ------------------------------------------------------------------ nuisances
     def _initial_out(self, signals: Array) -> Array:
-        """Take the best initial states out of (n_y, N)."""
+        """Take the best initial states out of (..., n_y, N)."""
         if not self._bases:
             return signals.copy()
-        out = signals.copy()
-        for a, b in zip(self.edges[:-1], self.edges[1:], strict=True):
-            q = self._bases[b - a]
-            flat = out[:, a:b].reshape(-1)
-            out[:, a:b] = (flat - q @ (q.T @ flat)).reshape(self.n_outputs, b - a)
+        out = np.empty_like(signals)
+        for a, b in pairwise(self.edges):
+            part, q = signals[..., a:b], self._bases[b - a]
+            flat = part.reshape(*part.shape[:-2], -1)
+            out[..., a:b] = (flat - flat @ q @ q.T).reshape(part.shape)
         return out
 
-    @cached_property
-    def _constant_basis(self) -> Array:
-        flat = np.array([c.reshape(-1) for c in self.constants]).T
-        u, s, _ = np.linalg.svd(flat, full_matrices=False)
-        return np.asarray(u[:, s > 1e-6 * np.sqrt(self.n_samples)])
-
     def without_nuisance(self, signals: Array) -> Array:
-        """Return signals (n_y, N) without initial states and offsets."""
-        out = self._initial_out(signals)
-        q = self._constant_basis
-        flat = out.reshape(-1)
-        left = np.asarray((flat - q @ (q.T @ flat)).reshape(out.shape))
+        """Return signals (..., n_y, N) without initial states and offsets."""
+        left, q = self._initial_out(signals), self._constant_basis
+        flat = left.reshape(*left.shape[:-2], -1)
+        flat = flat - flat @ q @ q.T
         # of what a nuisance is, only rounding is left
-        return left if np.linalg.norm(left) > _ROUNDING * np.linalg.norm(signals) else np.zeros_like(left)
+        seen = np.linalg.norm(flat, axis=-1) > _ROUNDING * np.linalg.norm(signals, axis=(-2, -1))
+        return np.where(seen[..., None, None], flat.reshape(left.shape), 0.0)
 
     def outside(self, mask: NDArray[np.bool_]) -> Array:
         """Return the residual with nuisances that are fitted outside a mask.
@@ -120,7 +116,7 @@ class ResidualLikelihood:
         a little weight, because the other samples may not determine an initial state.
         """
         out = self.residual.copy()
-        for a, b in zip(self.edges[:-1], self.edges[1:], strict=True):
+        for a, b in pairwise(self.edges):
             level = np.repeat(np.eye(self.n_outputs), b - a, axis=0)
             basis = np.hstack([self._bases[b - a], level]) if self._bases else level
             weight = np.where(mask[:, a:b].reshape(-1), _MASKED, 1.0)[:, None]
@@ -135,10 +131,7 @@ class ResidualLikelihood:
         The explanation is given without constant offsets (`fit`) and with them (`whole`).
         """
         rest = copy.copy(self)
-        rest.residual = self.residual - fit
-        rest.with_offset = self.with_offset - whole
-        rest.use(rest.residual)
-        rest.base = rest.log_likelihood(rest.residual)
+        rest._begin(self.residual - fit, self.with_offset - whole)
         return rest
 
     # ------------------------------------------------------------------ noise
@@ -169,12 +162,14 @@ class ResidualLikelihood:
     def _filtered(self, signals: Array) -> Array:
         return self.whitener.apply([signals])
 
-    def white(self, columns: Sequence[Array]) -> tuple[Array, Array]:
+    def white(self, columns: Sequence[Array] | Array) -> tuple[Array, Array]:
         """Return whitened columns (rows, k) and residual (rows,).
 
         Nuisance parameters are removed from both.
         """
-        return np.array([self._filtered(self.without_nuisance(c)) for c in columns]).T, self._white
+        return np.array(
+            [self._filtered(left) for left in self.without_nuisance(np.array(columns))]
+        ).T, self._white
 
     # ------------------------------------------------------------------ explanations
     def linear(self, columns: Sequence[Array]) -> Explanation:
@@ -182,12 +177,8 @@ class ResidualLikelihood:
 
         The result includes the gain in log-likelihood.
         """
-        left = [self.without_nuisance(c) for c in columns]
-        white = np.array([self._filtered(c) for c in left]).T
-        values = _least_squares(white, self._white)
-        fit = np.tensordot(values, np.array(left), 1)
-        whole = self._initial_out(np.tensordot(values, np.array(columns), 1))
-        return Explanation(fit, self.gain(fit), values, whole - fit)
+        values = _least_squares(*self.white(columns))
+        return self._explained(np.tensordot(values, np.array(columns), 1), values)
 
     def best_of(self, groups: Sequence[Sequence[Array]], most: int = 3) -> list[tuple[int, Explanation]]:
         """Return the groups of columns that explain the most, with their fits.
@@ -196,10 +187,9 @@ class ResidualLikelihood:
         """
         taken = []
         for group in groups:
-            white = np.array([self._filtered(self.without_nuisance(c)) for c in group]).T
-            values = _least_squares(white, self._white)
-            left = float(np.sum((self._white - white @ values) ** 2))
-            taken.append(left + self._white.size / self.n_samples * len(group) * np.log(self.n_samples))
+            white, target = self.white(group)
+            left = float(np.sum((target - white @ _least_squares(white, target)) ** 2))
+            taken.append(left + target.size / self.n_samples * len(group) * np.log(self.n_samples))
         order = np.argsort(taken, kind="stable")[:most]
         return [(int(k), self.linear(groups[k])) for k in order]
 
@@ -207,43 +197,43 @@ class ResidualLikelihood:
         """Twice the log-likelihood that an explanation adds to the residual."""
         return 2.0 * (self.log_likelihood(self.residual - fit) - self.base)
 
-    def misfit(self, shape: Array, *, scaled: bool = False) -> float:
-        """Return the whitened sum of squares that a shape leaves.
+    def misfits(self, shapes: Array, *, scaled: bool = False) -> Array:
+        """Return the whitened sum of squares that each of several shapes leaves.
 
-        Where `scaled`, the shape is multiplied by its best factor.
+        Where `scaled`, each shape is multiplied by its best factor.
         """
-        white = self._filtered(self.without_nuisance(shape))
+        white, target = self.white(shapes)
         if not scaled:
-            return float(np.sum((self._white - white) ** 2))
-        power = float(white @ white)
-        total = float(self._white @ self._white)
-        return total if power <= 1e-300 else total - float(white @ self._white) ** 2 / power
+            return np.asarray(np.sum((target[:, None] - white) ** 2, axis=0))
+        power, along = np.sum(white**2, axis=0), target @ white
+        return np.asarray(
+            target @ target - np.where(power > 1e-300, along**2 / np.maximum(power, 1e-300), 0.0)
+        )
 
-    def searched(
-        self, shape: Callable[[float], Array], grid: Sequence[float] | Array, *, scaled: bool = False
-    ) -> Explanation:
+    def searched(self, shapes: Callable[[Array], Array], grid: Array, *, scaled: bool = False) -> Explanation:
         """Find the best shape of a family with one unknown.
 
-        Where `scaled`, the shape is multiplied by its best factor.
+        The family returns shapes (k, n_y, N) of k values. Where `scaled`, the shape is multiplied by its
+        best factor.
         """
-        points = np.unique(np.asarray(grid, dtype=float))
-        costs = [self.misfit(shape(float(g)), scaled=scaled) for g in points]
+        points = np.unique(grid)
+        costs = self.misfits(shapes(points), scaled=scaled)
         k = int(np.argmin(costs))
-        best = float(points[k])
-        low, high = points[max(k - 1, 0)], points[min(k + 1, points.size - 1)]
+        best, low, high = points[k], points[max(k - 1, 0)], points[min(k + 1, points.size - 1)]
         if high > low:
             found = minimize_scalar(
-                lambda g: self.misfit(shape(float(g)), scaled=scaled),
-                bounds=(float(low), float(high)),
+                lambda g: self.misfits(shapes(np.array([g])), scaled=scaled)[0],
+                bounds=(low, high),
                 method="bounded",
-                options={"maxiter": 25, "xatol": 1e-3 * float(high - low)},
+                options={"maxiter": 25, "xatol": 1e-3 * (high - low)},
             )
             if found.fun < costs[k]:
-                best = float(found.x)
+                best = found.x
+        (shape,), value = shapes(np.array([best])), np.array([best])
         if scaled:
-            linear = self.linear([shape(best)])
-            return replace(linear, values=np.append(linear.values, best))
-        return self._explained(shape(best), np.array([best]))
+            factor = _least_squares(*self.white([shape]))
+            return self._explained(factor * shape, np.append(factor, value))
+        return self._explained(shape, value)
 
     def descended(
         self, shape: Callable[[Array], Array], start: Array, *, evaluations: int = 12
@@ -274,28 +264,28 @@ class ResidualLikelihood:
 
         The constant offset is included where that fits better.
         """
-        if one.level is None:
-            return one.fit
-        both = one.fit + one.level
-        return max(one.fit, both, key=lambda part: -float(np.sum((self.with_offset - part) ** 2)))
+        return max(
+            one.fit, one.fit + one.level, key=lambda part: -float(np.sum((self.with_offset - part) ** 2))
+        )
 
     def share_of_error(self, part: Array) -> float:
         """Return the share of the error's energy that a part removes, 0 to 1.
 
         The error includes constant offsets.
         """
-        total = float(np.sum(self.with_offset**2))
-        left = float(np.sum((self.with_offset - part) ** 2))
-        return float(np.clip(1.0 - left / total, 0.0, 1.0)) if total > 0 else 0.0
+        return _share(self.with_offset, part)
 
     def share(self, fit: Array) -> float:
         """Return the share of the residual's energy that a fit removes, 0 to 1.
 
         Constant offsets are left out.
         """
-        total = float(np.sum(self.residual**2))
-        left = float(np.sum((self.residual - fit) ** 2))
-        return float(np.clip(1.0 - left / total, 0.0, 1.0)) if total > 0 else 0.0
+        return _share(self.residual, fit)
+
+
+def _share(error: Array, part: Array) -> float:
+    total = float(np.sum(error**2))
+    return float(np.clip(1.0 - np.sum((error - part) ** 2) / total, 0.0, 1.0)) if total > 0 else 0.0
 
 
 def _least_squares(columns: Array, target: Array) -> Array:

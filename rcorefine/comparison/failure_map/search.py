@@ -15,15 +15,13 @@ from scipy import stats
 from ...inference.levels import levels
 from ...results import Result, Row
 from ...systems.linear import Array
-from .amplitude import input_laws, level_dependence
-from .bands import bands
-from .distortion import distortions
-from .frequency import modes, modes_together, shifts
+from ..signals import root_mean_square
+from .amplitude import distortions, input_laws, level_dependence
+from .frequency import bands, modes
 from .likelihood import ResidualLikelihood
-from .record import DIMENSIONS, Finding, ModelOnRecord, model_on_record
+from .record import DIMENSIONS, Finding, ModelOnRecord
 from .state import forces_at_places
-from .stretches import stretches
-from .time import clipping, delays, drifts, pinned, signs
+from .time import clipping, delays, drifts, pinned, signs, stretches
 
 if TYPE_CHECKING:
     from ..result import Comparison
@@ -147,39 +145,32 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
     structure leads. The noise model of the leader is then used to judge all
     once more. p-values are multiplied by the number of regions (Bonferroni).
     """
-    scene, notes = model_on_record(comparison, index)
-    rms = np.sqrt(np.mean((comparison.data.outputs - comparison.runs[index]) ** 2, axis=1))
-    looked = tuple(d for d in DIMENSIONS if scene.places is not None or d not in ("state", "place"))
+    scene = ModelOnRecord(comparison, index)
+    notes: list[str] = []
+    rows: tuple[Failure, ...] = ()
+    looked: tuple[str, ...] = ()
+    if scene.places is None:
+        notes.append("State space and place were not searched: no places were found in this model")
     if scene.n_samples < 60:
         notes.append(f"{scene.n_samples} samples are too few to search for regions; give at least 60")
-        return FailureMap(comparison.names[index], (), rms, (), tuple(notes))
-    if comparison.led or comparison.looped:
+    elif comparison.led or comparison.looped:
         notes.append(
             f"The model {'runs in a loop' if comparison.looped else 'is unstable'} and is corrected by the "
             "record, so failures cannot be located; use diagnose"
         )
-        return FailureMap(comparison.names[index], (), rms, (), tuple(notes))
-    rows = _rows(scene)
+    else:
+        rows, looked = _rows(scene), DIMENSIONS if scene.places else DIMENSIONS[:3]
+    rms = root_mean_square(comparison.data.outputs - comparison.runs[index])
     return FailureMap(comparison.names[index], rows, rms, looked, tuple(notes))
+
+
+_OF_OUTPUTS = (stretches, drifts, delays, signs, clipping, pinned, modes, bands)
+_OF_CAUSES = (input_laws, level_dependence, distortions, forces_at_places)
 
 
 def _searched(scene: ModelOnRecord) -> list[Finding]:
     """All findings under the present noise model."""
-    found = [
-        *stretches(scene),
-        *drifts(scene),
-        *delays(scene),
-        *signs(scene),
-        *clipping(scene),
-        *pinned(scene),
-    ]
-    moved = shifts(scene)
-    single = modes(scene, moved)
-    found += [*single, *modes_together(scene, moved, single), *bands(scene)]
-    found += [*input_laws(scene), *level_dependence(scene), *distortions(scene)]
-    if scene.places is not None:
-        found += forces_at_places(scene)
-    return found
+    return [finding for search in _OF_OUTPUTS + _OF_CAUSES for finding in search(scene)]
 
 
 def _p_value(finding: Finding, scene: ModelOnRecord, count: int) -> float:
@@ -213,19 +204,21 @@ def _rows(scene: ModelOnRecord) -> tuple[Failure, ...]:
     fit, all_of_it = ranked[0].explanation.fit, whole.whole(ranked[0].explanation)
     lead = whole.share(fit)
     shown = [_region(ranked[0])]
+
+    def more(f: Finding) -> float:
+        """Share of the error that a finding explains besides those before."""
+        besides = whole.share(fit + f.explanation.fit) - whole.share(fit)
+        part = scene.evidence.share_of_error(scene.evidence.whole(f.explanation))
+        return max(besides, part * (1.0 - whole.share_of_error(all_of_it)))
+
     for _ in range(_BESIDES):
+        if max(1.0 - whole.share(fit), 1.0 - whole.share_of_error(all_of_it)) < levels().failure_besides:
+            break  # nothing is left that could count
         scene.evidence, scene.known, scene.laws = whole.after(fit, all_of_it), {}, None
         left = [
             f
             for f in _ranked(_searched(scene), scene, count)
-            if f.dimension != "place"
-            and _region(f) not in shown
-            and max(
-                whole.share(fit + f.explanation.fit) - whole.share(fit),
-                scene.evidence.share_of_error(scene.evidence.whole(f.explanation))
-                * (1.0 - whole.share_of_error(all_of_it)),
-            )
-            >= levels().failure_besides
+            if f.dimension != "place" and _region(f) not in shown and more(f) >= levels().failure_besides
         ]
         if not left:
             break

@@ -1,30 +1,41 @@
 """Failures in the state space: forces over displacement or velocity.
 
-These forces act at a place, and follow its motion.
+These forces act at a place, and follow its motion. The motion behind a record is estimated by a forward
+and a backward pass that correct the model by its residual.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from ...engine.smoother import smooth
 from ...jit import compiled, put
 from ...models.ports import Port
 from ...systems.discretization import discretize
 from ...systems.linear import Array
 from .likelihood import Explanation
-from .motion import estimated_motion
 from .record import Finding, ModelOnRecord
 
-__all__ = ["ForceLaw", "forces_at_places", "laws_at"]
+if TYPE_CHECKING:
+    from ..result import Comparison
 
+__all__ = ["ResidualForce", "forces_at_places", "residual_force"]
+
+_MEMORY = 0.9  # of the unknown force, from one sample to the next
+_NOISE = 0.02  # sensor noise over the spread of an output, the unit of the force levels that are tried
+_FORCE_LEVELS = (0.01, 0.1, 0.5, 2.0, 10.0)
 _QUANTILES = (0.3, 0.5, 0.65, 0.8, 0.9)
 _LEVELS = (0.5, 0.7, 0.85, 0.95)  # quantiles of a first-order state
+_STEPS, _FINE = 6, 8  # per sample, in the loop with the motion and along a known one
+_COARSE, _LONG = 2, 30_000  # of both, from so many samples on
+_WORTH = 30.0  # twice the log-likelihood from which on a law is tried in the loop
+_SEEN = 0.1  # of a response, beside offset and initial state, from which on it can be told from them
+_UNLIKE = 0.2  # of the larger of two steps, from which on they count as different
 
 _MEANINGS = {
     "dry": "jumps where the motion reverses, like dry friction",
@@ -47,197 +58,291 @@ _OF_STORES = {
 }
 
 
+# ---------------------------------------------------------------------- motion and force
+class MotionEstimate(NamedTuple):
+    """Motion that the record shows."""
+
+    states: Array  #: (n, N)
+    force: Array  #: (N,), unknown force at the place
+    likelihood: float  #: log-likelihood per sample of the residual, up to a constant
+
+
+def estimated_motion(scene: ModelOnRecord, index: int) -> MotionEstimate:
+    """Estimate the states of the recorded motion.
+
+    An unknown force at a place explains what the model with its known input leaves (first stage of the paper,
+    with a Kalman gain). Its level is the most likely one. A backward pass removes the lag.
+    """
+    assert scene.places is not None
+    A, place, ny = scene.places.A, scene.places.places[index], scene.n_outputs
+    n = len(A)
+    Phi, G, _ = discretize(A, place.act[:, None], scene.dt, "zoh")
+    # a force of unit output, over the record
+    unit = np.where(np.arange(scene.n_samples) % 7 < 3, 1.0, -1.0)
+    size = float(np.std(scene.forced([(index, unit)])[0])) or np.inf
+    F = np.block([[Phi, G / size], [np.zeros((1, n)), np.full((1, 1), _MEMORY)]])
+    H = np.hstack([scene.places.C, place.output[:, None] / size]) / scene.scale
+    best = MotionEstimate(scene.states, np.zeros(scene.n_samples), -np.inf)
+    for level in _FORCE_LEVELS:
+        force = (1 - _MEMORY**2) * level**2
+        Q = 1e-12 * force / (n + 1) * np.eye(n + 1)  # no direction without any noise
+        Q[n, n] += force
+        found = smooth(F, H, Q, _NOISE**2 * np.eye(ny), scene.evidence.with_offset.T, reset=scene.reset)
+        if np.isfinite(found.power) and found.power > 0:
+            # noise and force in proportion: their common size is the likeliest one
+            value = -ny * np.log(found.power) - found.log_determinant
+            if value > best.likelihood:
+                change = found.states if np.isfinite(found.states).all() else found.filtered
+                best = MotionEstimate(scene.states + change[:, :n].T, change[:, n] / size, value)
+    return best
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class ForceLaw:
-    """Force law with open coefficients, and the region where it is nonzero.
+class ResidualForce:
+    """Force that a model lacks at a place, along the motion there.
 
     Attributes
     ----------
-    name : str
-        Law.
-    where : str
-        Region in words.
-    dof : int
-        Numbers that it takes, the place of a kink counted.
-    n_forces : int
-        Forces of which it is a combination.
-    linear : bool
-        Whether the model could hold it.
-    code : int
-        Its number in the loop with the motion; -1 where it is not run in it.
-    size : float
-        Size by which displacement or velocity is divided there, or the kink.
-    values : dict
-        The region as numbers.
+    place : str
+        Port.
+    mechanical : bool
+        Whether it has a displacement and a velocity.
+    position, velocity, force : ndarray of shape (N,)
+        Motion, and resisting force, in the model's units.
+    position_unit, velocity_unit, force_unit : str
+        Units.
     """
 
+    place: str
+    mechanical: bool
+    position: Array
+    velocity: Array
+    force: Array
+    position_unit: str
+    velocity_unit: str
+    force_unit: str
+
+
+def residual_force(comparison: Comparison, index: int = 0, place: str | None = None) -> ResidualForce | None:
+    """Estimate the force that a model lacks at a place.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Models on a record.
+    index : int
+        Which of the models.
+    place : str, optional
+        Port; default the one whose force explains most of the record.
+
+    Returns
+    -------
+    ResidualForce or None
+        None for a model without ports.
+    """
+    scene = ModelOnRecord(comparison, index)
+    if scene.places is None:
+        return None
+    ports = scene.places.places
+    tried = [i for i, port in enumerate(ports) if place in (None, port.name)]
+    estimates = [(estimated_motion(scene, i), ports[i]) for i in tried]
+    estimate, port = max(estimates, key=lambda pair: pair[0].likelihood)
+    d, v = _motion_at(scene, port, estimate.states)
+    units = port.position_unit, port.velocity_unit, port.force_unit
+    return ResidualForce(port.name, port.kind == "mechanical", d, v, estimate.force, *units)
+
+
+def _motion_at(scene: ModelOnRecord, port: Port, states: Array) -> tuple[Array, Array]:
+    """Return displacement and velocity (N,) at a place."""
+    w = scene.data.inputs
+    return port.position @ states + port.position_input @ w, port.velocity @ states + port.velocity_input @ w
+
+
+def _between(scene: ModelOnRecord, signal: Array, factor: int) -> Array:
+    """Interpolate a motion to several values per sample.
+
+    A force that jumps does so between samples.
+    """
+    factor = factor if signal.size < _LONG else _COARSE
+    parts = []
+    for a, b in pairwise([*scene.starts, signal.size]):
+        grid, part = np.arange(b - a), signal[a:b]
+        at = np.minimum(np.arange((b - a) * factor) / factor, b - a - 1)
+        smooth_enough = b - a >= 4 and np.ptp(part) > 0
+        parts.append(CubicSpline(grid, part)(at) if smooth_enough else np.interp(at, grid, part))
+    return np.concatenate(parts)
+
+
+# ---------------------------------------------------------------------- laws
+_LINEAR, _DRY, _BEYOND, _ABOVE, _BELOW, _SIZE, _SIGNED_SQUARE, _SQUARE, _CUBE, _ROOT = range(10)
+
+
+@compiled
+def force_along(code, s, size):  # type: ignore[no-untyped-def]
+    """Force of a law along a motion s: a displacement or a velocity."""
+    if code == _DRY:
+        return np.tanh(s / size)
+    if code == _BEYOND:
+        return np.sign(s) * np.maximum(np.abs(s) - size, 0.0)
+    if code == _ABOVE:
+        return np.maximum(s - size, 0.0)
+    if code == _BELOW:
+        return np.minimum(s + size, 0.0)
+    if code == _SIZE:
+        return np.abs(s)
+    if code == _SIGNED_SQUARE:
+        return s * np.abs(s)
+    if code == _SQUARE:
+        return s * s / size
+    if code == _CUBE:
+        return s * s * s / size**2
+    if code == _ROOT:
+        return np.sign(s) * np.sqrt(np.abs(s))
+    return s * 1.0
+
+
+class ForceLaw(NamedTuple):
+    """Force law with open coefficients, and the region where it is nonzero."""
+
     name: str
-    where: str
-    dof: int = 1
-    n_forces: int = 1
-    linear: bool = False
-    code: int = -1
-    size: float = 1.0
-    values: dict[str, Any] = field(default_factory=dict)
+    where: str  #: region in words
+    axis: str  #: "d", "v", or "x" of a first-order state
+    code: int  #: of `force_along`
+    size: float = 1.0  #: by which the motion is divided there, or the kink
+    values: dict[str, Any] | None = None  #: the region as numbers
+
+    @property
+    def kinked(self) -> bool:
+        """Return whether it sets in at a limit."""
+        return self.code in (_BEYOND, _ABOVE, _BELOW)
+
+    @property
+    def dof(self) -> int:
+        """Return the numbers that it takes, the place of a kink counted."""
+        return 2 if self.kinked or self.name == "dry by direction" else 1
 
     @property
     def meaning(self) -> str:
         """Description of a force of this law."""
-        of_store = self.values.get("axis") == "x"
-        return _OF_STORES.get(self.name, _MEANINGS[self.name]) if of_store else _MEANINGS[self.name]
+        return ({**_MEANINGS, **_OF_STORES} if self.axis == "x" else _MEANINGS)[self.name]
+
+    def forces(self, s: Array) -> list[Array]:
+        """Return the forces of which it is a combination, along a motion."""
+        force = force_along(self.code, s, self.size)
+        return [np.maximum(force, 0.0), np.minimum(force, 0.0)] if "by direction" in self.name else [force]
 
 
-def laws_at(place: Port, d: Array, v: Array) -> list[tuple[ForceLaw, list[Array]]]:
-    """Laws at a place and their forces along a motion, those that vary on it.
-
-    Parameters
-    ----------
-    place : Port
-        Where.
-    d, v : ndarray of shape (N,)
-        Displacement and velocity there.
-    """
-    proposed = [*(_over_velocity(place, v) if np.ptp(v) > 0 else ())]
-    proposed += _over_displacement(place, d) if np.ptp(d) > 0 else ()
-    return [
-        (law, forces)
-        for law, forces in proposed
-        if all(np.all(np.isfinite(f)) and np.ptp(f) > 0 for f in forces)
-    ]
-
-
-def _over_velocity(place: Port, v: Array) -> Iterator[tuple[ForceLaw, list[Array]]]:
-    first = place.kind == "first_order"
-    letter = "x" if first else "v"
-    axis, large, spread = {"axis": letter}, f"at large |{letter}|", float(v.std())
-    yield ForceLaw("linear velocity", "everywhere", linear=True), [v]
+def _over_velocity(place: Port, v: Array) -> list[ForceLaw]:
+    x, spread = "x" if place.kind == "first_order" else "v", float(v.std())
+    near, large, turn = f"near {x} = 0", f"at large |{x}|", {"low": 0.0, "high": 0.0}
+    laws = [ForceLaw("linear velocity", "everywhere", x, _LINEAR)]
     if v.min() < -0.05 * spread and v.max() > 0.05 * spread:
-        width, turn = 0.005 * spread, {"low": 0.0, "high": 0.0, **axis}
-        step, near = np.tanh(v / width), f"near {letter} = 0"
-        yield ForceLaw("dry", near, code=0, size=width, values=turn), [step]
-        sides = [np.maximum(step, 0.0), np.minimum(step, 0.0)]
-        yield ForceLaw("dry by direction", near, 2, 2, values=turn), sides
-    yield ForceLaw("odd velocity", large, code=3, values=axis), [v * np.abs(v)]
-    yield ForceLaw("odd velocity", large, code=4, size=spread, values=axis), [v**3 / spread**2]
-    if first:
-        yield ForceLaw("root", f"as the root of {letter}", values=axis), [np.sign(v) * np.sqrt(np.abs(v))]
+        dry = ForceLaw("dry", near, x, _DRY, 0.005 * spread, turn)
+        laws += [dry, dry._replace(name="dry by direction")]
+    laws.append(ForceLaw("odd velocity", large, x, _SIGNED_SQUARE))
+    laws.append(ForceLaw("odd velocity", large, x, _CUBE, spread))
+    if x == "x":
+        laws.append(ForceLaw("root", "as the root of x", x, _ROOT))
         for g in map(float, np.quantile(v, _LEVELS)):
-            where = f"{letter} > {_sized(g, place.velocity_unit)}"
-            yield ForceLaw("beyond", where, 2, values={"low": g, **axis}), [np.maximum(v - g, 0.0)]
+            where = f"x > {f'{g:.3g} {place.velocity_unit}'.rstrip()}"
+            laws.append(ForceLaw("beyond", where, x, _ABOVE, g, {"low": g}))
     elif v.min() < 0 < v.max():
-        yield ForceLaw("one side of velocity", f"one sign of {letter}", code=9, values=axis), [np.abs(v)]
+        laws.append(ForceLaw("one side of velocity", "one sign of v", x, _SIZE))
+    return laws
 
 
-def _over_displacement(place: Port, d: Array) -> Iterator[tuple[ForceLaw, list[Array]]]:
-    axis, spread = {"axis": "d"}, float(d.std())
-    yield ForceLaw("linear displacement", "everywhere", linear=True), [d]
-    odd = ForceLaw("odd displacement", "at large |d|", code=2, size=spread, values=axis)
-    yield odd, [d**3 / spread**2]
-    even = ForceLaw("even displacement", "larger for one sign of d", code=6, size=spread, values=axis)
-    yield even, [d * d / spread]
+def _over_displacement(place: Port, d: Array) -> list[ForceLaw]:
+    spread = float(d.std())
+    laws = [
+        ForceLaw("linear displacement", "everywhere", "d", _LINEAR),
+        ForceLaw("odd displacement", "at large |d|", "d", _CUBE, spread),
+        ForceLaw("even displacement", "larger for one sign of d", "d", _SQUARE, spread),
+    ]
     for g in map(float, np.quantile(np.abs(d), _QUANTILES)):
-        text, edge = _sized(g, place.position_unit), {"low": g, **axis}
-        both = ForceLaw("beyond", f"|d| > {text}", 2, code=1, size=g, values=edge)
-        yield both, [np.sign(d) * np.maximum(np.abs(d) - g, 0.0)]
-        above = ForceLaw("beyond, one side", f"d > {text}", 2, code=7, size=g, values={**edge, "side": 1})
-        yield above, [np.maximum(d - g, 0.0)]
-        below = ForceLaw("beyond, one side", f"d < -{text}", 2, code=8, size=g, values={**edge, "side": -1})
-        yield below, [np.minimum(d + g, 0.0)]
-    yield ForceLaw("one side", "d > 0 and d < 0 differ", code=5, values={"low": 0.0, **axis}), [np.abs(d)]
+        text = f"{g:.3g} {place.position_unit}".rstrip()
+        laws.append(ForceLaw("beyond", f"|d| > {text}", "d", _BEYOND, g, {"low": g}))
+        for side, code, where in ((1, _ABOVE, f"d > {text}"), (-1, _BELOW, f"d < -{text}")):
+            laws.append(ForceLaw("beyond, one side", where, "d", code, g, {"low": g, "side": side}))
+    return [*laws, ForceLaw("one side", "d > 0 and d < 0 differ", "d", _SIZE, values={"low": 0.0})]
 
 
-def _sized(number: float, unit: str) -> str:
-    return f"{number:.3g} {unit}".rstrip()
+def _laws_at(place: Port, d: Array, v: Array) -> list[tuple[ForceLaw, list[Array]]]:
+    """Return laws and forces that vary along the motion at a place."""
+    along = [(law, law.forces(v)) for law in (_over_velocity(place, v) if np.ptp(v) > 0 else ())]
+    along += [(law, law.forces(d)) for law in (_over_displacement(place, d) if np.ptp(d) > 0 else ())]
+    return [pair for pair in along if all(np.isfinite(f).all() and np.ptp(f) > 0 for f in pair[1])]
 
 
-_STEPS = 6
-_WORTH = 30.0  # twice the log-likelihood from which on a law is tried in the loop
-_FINE = 8
-_SEEN = 0.1  # of a response, beside offset and initial state, from which on it can be told from them
-_UNLIKE = 0.2  # of the larger of two steps, from which on they count as different
+# ---------------------------------------------------------------------- search
+_Laws = list[tuple[ForceLaw, list[Array]]]
 
 
-def _columns(scene: ModelOnRecord) -> list[tuple[int, Port, list[ForceLaw], list[Array]]]:
-    """Return the force laws at each place, along the motion there.
+def _columns(scene: ModelOnRecord) -> list[tuple[int, Port, _Laws]]:
+    """Return the force laws at each place, and what their forces would do.
 
-    The motion is the one that the record shows if a force acts at that place.
+    The forces follow the motion that the record shows if a force acts at that place.
     """
     if scene.laws is None:
         assert scene.places is not None
         scene.laws = []
-        w = scene.data.inputs
         seen: list[Array] = []
         for i, p in enumerate(scene.places.places):
             rows = np.concatenate([p.act, p.position, p.velocity, p.position_input, p.velocity_input])
             if any(np.array_equal(rows, other) for other in seen):
                 continue  # the same place by another name
             seen.append(rows)
-            x = estimated_motion(scene, [i]).states
-            d, v = p.position @ x + p.position_input @ w, p.velocity @ x + p.velocity_input @ w
-            found = laws_at(p, *_between(scene, d, v))
-            if found:
-                columns = scene.forced([(i, force) for _, forces in found for force in forces])
-                scene.laws.append((i, p, [law for law, _ in found], columns))
+            d, v = _motion_at(scene, p, estimated_motion(scene, i).states)
+            laws = _laws_at(p, _between(scene, d, _FINE), _between(scene, v, _FINE))
+            if laws:
+                columns = iter(scene.forced([(i, force) for _, forces in laws for force in forces]))
+                scene.laws.append((i, p, [(law, [next(columns) for _ in forces]) for law, forces in laws]))
     return scene.laws
 
 
 def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
     """Laws at each place, and all of them together per place."""
-    assert scene.places is not None
+    if scene.places is None:
+        return []
     found: list[Finding] = []
-    count = len(scene.places.places)
-    leaders: list[tuple[float, int, Port, ForceLaw, Explanation, int]] = []
-    for index, place, laws, columns in _columns(scene):
-        cuts = np.cumsum([law.n_forces for law in laws])[:-1]
-        groups = [columns[a:b] for a, b in zip([0, *cuts], [*cuts, len(columns)], strict=True)]
-        curved = [k for k, law in enumerate(laws) if not law.linear]
-        curved = [k for k in curved if laws[k].name != "dry by direction" or _apart(scene, *groups[k])]
-        judged = scene.evidence.best_of([groups[k] for k in curved])
-        found += [_finding(place, laws[curved[k]], one, len(laws) * count) for k, one in judged]
-        if judged:
-            k, one = max(judged, key=lambda pair: pair[1].gain)
-            leaders.append((one.gain, index, place, laws[curved[k]], one, len(laws) * count))
-        straight = [c for k, law in enumerate(laws) if law.linear for c in groups[k]]
-        together = straight + [
-            c
-            for k, law in enumerate(laws)
-            if law.name in ("dry", "odd velocity", "odd displacement")
-            for c in groups[k]
+    evidence, count = scene.evidence, len(scene.places.places)
+    leaders: list[tuple[int, Port, ForceLaw, Explanation, int]] = []
+    for index, place, laws in _columns(scene):
+        curved = [
+            (law, columns)
+            for law, columns in laws
+            if law.code != _LINEAR and (len(columns) == 1 or _apart(scene, *columns))
         ]
-        whole = scene.evidence.linear(together)
-        followed = "motion" if place.kind == "mechanical" else "state"
-        found.append(
-            Finding(
-                "place",
-                f"force at {place.name}",
-                "hidden force",
-                whole,
-                len(together),
-                count,
-                f"A {place.acts_by} at {place.name} that depends on the {followed} there would explain "
-                f"{100 * scene.evidence.share_of_error(scene.evidence.whole(whole)):.3g} % of the error.",
-                {"place": place.name, "kind": "force"},
-            )
-        )
-        linear = scene.evidence.linear(straight)
-        law_text = "stiffness and damping at" if place.kind == "mechanical" else "coefficient of"
-        found.append(
-            Finding(
-                "place",
-                f"{law_text} {place.name}",
-                "linear force",
-                linear,
-                len(straight),
-                count,
-                f"A change of the linear coefficients at {place.name} alone would explain "
-                f"{100 * scene.evidence.share_of_error(scene.evidence.whole(linear)):.3g} % of the error.",
-                {"place": place.name, "kind": "linear force"},
-            )
-        )
-    for gain, index, place, law, one, tried in sorted(leaders, key=lambda row: -row[0])[:2]:
-        if gain > _WORTH:
+        tried = len(laws) * count
+        judged = [(curved[k][0], one) for k, one in evidence.best_of([columns for _, columns in curved])]
+        found += [_finding(place, law, one, tried) for law, one in judged]
+        if judged:
+            leaders.append((index, place, *max(judged, key=lambda pair: pair[1].gain), tried))
+        straight = [column for law, columns in laws for column in columns if law.code == _LINEAR]
+        usual = ("dry", "odd velocity", "odd displacement")
+        every = straight + [column for law, columns in laws for column in columns if law.name in usual]
+        name = place.name
+        at, depends = f"coefficient of {name}", f"at {name} that depends on the state there"
+        if place.kind == "mechanical":
+            at, depends = f"stiffness and damping at {name}", f"at {name} that depends on the motion there"
+        force = f"{place.acts_by} {depends}"
+        change = f"change of the linear coefficients at {name} alone"
+        found.append(_at_place(scene, f"force at {name}", "hidden force", "force", force, every, name))
+        found.append(_at_place(scene, at, "linear force", "linear force", change, straight, name))
+    for index, place, law, one, tried in sorted(leaders, key=lambda row: -row[3].gain)[:2]:
+        if one.gain > _WORTH:
             found.append(_finding(place, *_settled(scene, index, law, one), tried))
     return found
+
+
+def _at_place(
+    scene: ModelOnRecord, where: str, measure: str, kind: str, what: str, columns: list[Array], place: str
+) -> Finding:
+    assert scene.places is not None
+    one, tried = scene.evidence.linear(columns), len(scene.places.places)
+    share = 100 * scene.evidence.share_of_error(scene.evidence.whole(one))
+    text = f"A {what} would explain {share:.3g} % of the error."
+    values = {"place": place, "kind": kind}
+    return Finding("place", where, measure, one, len(columns), tried, text, values)
 
 
 def _apart(scene: ModelOnRecord, forward: Array, backward: Array) -> bool:
@@ -257,130 +362,64 @@ def _settled(
     scene: ModelOnRecord, index: int, law: ForceLaw, one: Explanation
 ) -> tuple[ForceLaw, Explanation]:
     """The law in the loop: its force follows the motion that it causes itself."""
-    if law.code < 0 or scene.places is None:
+    assert scene.places is not None
+    if (law.dof > 1 and (law.axis == "x" or not law.kinked)) or law.code == _ROOT:
         return law, one
-    places, w = scene.places, scene.data.inputs
-    place = places.places[index]
-    d = place.position @ scene.states + place.position_input @ w
-    v = place.velocity @ scene.states + place.velocity_input @ w
-    steps = _STEPS if d.size < 30_000 else 2
-    fine_d, fine_v = _between(scene, d, v, steps)
-    Phi, G, _ = discretize(places.A, place.act[:, None], scene.dt / steps, "zoh")
-    searched = law.code in (1, 7, 8)
+    A, C, port = scene.places.A, scene.places.C, scene.places.places[index]
+    steps = _STEPS if scene.n_samples < _LONG else _COARSE
+    motion = _between(scene, _motion_at(scene, port, scene.states)[law.axis != "d"], _STEPS)
+    row = port.position if law.axis == "d" else port.velocity
+    Phi, G, _ = discretize(A, port.act[:, None], scene.dt / steps, "zoh")
+    step = np.hstack([Phi, G])
+    table = np.ascontiguousarray(np.vstack([step, row @ step, np.hstack([C, port.output[:, None]])]))
 
     def shape(point: Array) -> Array:
         out = np.zeros((scene.n_samples, scene.n_outputs))
-        loop(
-            np.ascontiguousarray(Phi),
-            G[:, 0].copy(),
-            np.ascontiguousarray(places.C),
-            place.output.copy(),
-            place.position.copy(),
-            place.velocity.copy(),
-            fine_d,
-            fine_v,
-            steps,
-            scene.reset,
-            law.code,
-            float(one.values[0] * (1.0 + point[0])),
-            float(law.size * np.exp(point[1])) if searched else float(law.size),
-            out,
-        )
+        factor = float(one.values[0] * (1.0 + point[0]))
+        size = float(law.size * np.exp(point[1])) if law.kinked else float(law.size)
+        loop(table, motion, steps, scene.reset, law.code, factor, size, out)
         return np.asarray(out.T / scene.scale)
 
     with np.errstate(over="ignore", invalid="ignore"):
-        first = shape(np.zeros(1 + searched))
+        start = np.zeros(1 + law.kinked)
+        first = shape(start)
         if not np.isfinite(first).all() or np.abs(first).max() > 1e3:
             return law, one
-        found = scene.evidence.descended(shape, np.zeros(1 + searched))
+        found = scene.evidence.descended(shape, start)
     if not np.isfinite(found.gain) or found.gain <= one.gain:
         return law, one
-    if searched:
+    if law.kinked:
         g = float(law.size * np.exp(found.values[1]))
         where = law.where.replace(f"{law.size:.3g}", f"{g:.3g}")
-        law = replace(law, where=where, values={**law.values, "low": g})
+        law = law._replace(where=where, values={**(law.values or {}), "low": g})
     return law, found
 
 
 @compiled
-def loop(  # type: ignore[no-untyped-def]
-    Phi,  # (n, n)  of a substep
-    G,  # (n,)
-    C,  # (n_y, n)
-    through,  # (n_y,)
-    row_d,  # (n,)
-    row_v,  # (n,)
-    d0,  # (N steps,)  motion without the force
-    v0,  # (N steps,)
-    steps,
-    reset,
-    code,
-    factor,
-    size,
-    out,  # (N, n_y)
-):
-    x = np.zeros(Phi.shape[0])
+def loop(table, motion, steps, reset, code, factor, size, out):  # type: ignore[no-untyped-def]
+    """Outputs (N, n_y) that a force adds which follows the motion and itself.
+
+    Rows of the table, by state and force: next state (n), its motion at the place, outputs (n_y); `motion`
+    is that without the force, several steps per sample.
+    """
+    n = table.shape[1] - 1
+    state = np.zeros(n + 1)
+    added = 0.0
     for k in range(out.shape[0]):
         if reset[k]:
-            x = np.zeros(Phi.shape[0])
+            state = np.zeros(n + 1)
+            added = 0.0
         for j in range(steps):
-            d = d0[k * steps + j] + row_d @ x
-            v = v0[k * steps + j] + row_v @ x
-            if code == 0:
-                f = np.tanh(v / size)
-            elif code == 1:
-                f = np.sign(d) * max(abs(d) - size, 0.0)
-            elif code == 2:
-                f = d**3 / size**2
-            elif code == 3:
-                f = v * abs(v)
-            elif code == 4:
-                f = v**3 / size**2
-            elif code == 5:
-                f = abs(d)
-            elif code == 6:
-                f = d * d / size
-            elif code == 7:
-                f = max(d - size, 0.0)
-            elif code == 8:
-                f = min(d + size, 0.0)
-            else:
-                f = abs(v)
+            state[n] = factor * force_along(code, motion[k * steps + j] + added, size)
+            after = table @ state
             if j == 0:
-                put(out[k], 0, C @ x + through * (factor * f))
-            x = Phi @ x + G * (factor * f)
-
-
-def _between(scene: ModelOnRecord, d: Array, v: Array, factor: int = 0) -> tuple[Array, Array]:
-    """Interpolate the motion to several values per sample.
-
-    A force that jumps does so between samples.
-    """
-    n, factor = d.size, factor or (_FINE if d.size < 30_000 else 2)
-    grid = np.arange(n, dtype=float)
-    fine = np.arange(n * factor) / factor
-    edges = [*scene.starts, n]
-    found = []
-    for signal in (d, v):
-        parts = []
-        for a, b in pairwise(edges):
-            at = np.clip(fine[a * factor : b * factor], a, b - 1)
-            if b - a < 4 or not np.ptp(signal[a:b]):
-                parts.append(np.interp(at, grid[a:b], signal[a:b]))
-            else:
-                parts.append(CubicSpline(grid[a:b], signal[a:b])(at))
-        found.append(np.concatenate(parts))
-    return found[0], found[1]
+                put(out[k], 0, after[n + 1 :])
+            put(state, 0, after[:n])
+            added = after[n]
 
 
 def _finding(place: Port, law: ForceLaw, one: Explanation, tried: int) -> Finding:
-    return Finding(
-        "state",
-        f"{place.name}, {law.where}",
-        "residual force",
-        one,
-        law.dof,
-        tried,
-        f"The {place.acts_by} that is missing at {place.name} {law.meaning} ({law.where}).",
-        {"place": place.name, "law": law.name, "kind": "state", **law.values},
-    )
+    text = f"The {place.acts_by} that is missing at {place.name} {law.meaning} ({law.where})."
+    values = {"place": place.name, "law": law.name, "kind": "state", "axis": law.axis}
+    where, values = f"{place.name}, {law.where}", values | (law.values or {})
+    return Finding("state", where, "residual force", one, law.dof, tried, text, values)

@@ -1,4 +1,4 @@
-"""Failures over the whole record: drift, delay, clipping, wrong sign."""
+"""Failures over the whole record and in stretches: drift, delay, dropout."""
 
 from __future__ import annotations
 
@@ -9,15 +9,24 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from ...data.range_ends import coarse_noise, cut_off
+from ...inference.autoregression import autoregression
+from ...inference.whitening import innovations
 from ...systems.linear import Array
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
 
-__all__ = ["clipping", "delays", "drifts", "pinned", "signs"]
+__all__ = ["clipping", "delays", "drifts", "pinned", "signs", "stretches"]
 
 _RESTING = 0.2  # share of a record above which its extreme is where the output rests
 _LEVEL = 0.1  # of its spread: what a record may rise above the level at which it is cut off
 _SLOW = 6  # half-waves over the record that count as drift
+_SHORTEST = 8  # samples of a stretch: less is an outlier
+_STILL = 0.2  # of the usual movement, below which an output hangs
+_NEAR = 3  # samples around the edge of a stretch
+_JUMP = 4.0  # times the usual step between samples, from which on it is a jump
+_FAST = 0.3  # usual step over the spread of a signal, from which on jumps are no sign of anything
+_MOST = 3  # stretches of an output
+_LOUDER = 2.0  # times the error elsewhere, from which on a stretch is one
 
 
 # ---------------------------------------------------------------------- drift
@@ -25,35 +34,22 @@ def drifts(scene: ModelOnRecord) -> list[Finding]:
     """Offsets and slow drifts of each output, beside what the dynamics can do."""
     found = []
     t = np.linspace(-1.0, 1.0, scene.n_samples)
+    shapes = [("drift", t[None]), ("drift", np.array([t, t * t]))]
+    if scene.n_samples >= 400:
+        shapes.append(("slow drift", np.cos(np.outer(range(1, _SLOW + 1), 0.5 * np.pi * (t + 1.0)))))
     for i in range(scene.n_outputs):
-        best: Finding | None = None
-        shapes: list[tuple[str, list[Array]]] = [("drift", [t]), ("drift", [t, t * t])]
-        if scene.n_samples >= 400:
-            phase = 0.5 * np.pi * (t + 1.0)
-            shapes.append(("slow drift", [np.cos(k * phase) for k in range(1, _SLOW + 1)]))
-        for name, rows in shapes:
-            columns = []
-            for row in rows:
-                column = np.zeros_like(scene.residual)
-                column[i] = row
-                columns.append(column)
-            one = scene.evidence.linear(columns)
-            height = float(np.ptp(np.tensordot(one.values, np.array(rows), 1)) * scene.scale[i, 0])
-            finding = Finding(
-                "time",
-                f"whole record, {scene.named(i)}",
-                name,
-                one,
-                len(rows),
-                3,
-                f"{scene.named(i)} drifts from the model by {height:.3g}{_unit(scene, i)} over the record: "
-                "sensor drift, or a slow disturbance.",
-                {"output": scene.named(i), "height": height, "kind": "drift"},
+        name, where = scene.named(i), f"whole record, {scene.named(i)}"
+        tried = []
+        for measure, rows in shapes:
+            one = scene.evidence.linear([scene.only(i, row) for row in rows])
+            height = float(np.ptp(one.values @ rows) * scene.scale[i, 0])
+            text = (
+                f"{name} drifts from the model by {height:.3g}{scene.unit(i)} over the record: sensor drift, "
+                "or a slow disturbance."
             )
-            if best is None or finding.net(scene) > best.net(scene):
-                best = finding
-        assert best is not None
-        found += [best, _offset(scene, i)]
+            values = {"output": name, "height": height, "kind": "drift"}
+            tried.append(Finding("time", where, measure, one, len(rows), 3, text, values))
+        found += [max(tried, key=lambda finding: finding.net(scene)), _offset(scene, i)]
     return found
 
 
@@ -63,27 +59,16 @@ def _offset(scene: ModelOnRecord, i: int) -> Finding:
     raw, constant = evidence.with_offset[i] - evidence.residual[i], evidence.constants[i]
     power = float(constant[i] @ constant[i])
     height = float(raw @ constant[i]) / power if power > 1e-6 * scene.n_samples else 0.0
-    kept = evidence.residual.copy()
-    kept[i] += height * constant[i]
-    gain = -evidence.gain(evidence.residual - kept)
-    nothing = np.zeros_like(scene.residual)  # all rows are judged beside constant offsets
-    size = height * scene.scale[i, 0]
-    return Finding(
-        "time",
-        f"whole record, {scene.named(i)}",
-        "offset",
-        Explanation(nothing, gain, np.array([height]), height * constant),
-        1,
-        1,
-        f"{scene.named(i)} differs from the model by a constant {size:+.3g}{_unit(scene, i)}: a sensor "
-        "offset, or a constant force.",
-        {"output": scene.named(i), "offset": size, "kind": "offset"},
+    # all rows are judged beside constant offsets, so that it explains nothing of the residual
+    gain = -evidence.gain(-scene.only(i, height * constant[i]))
+    one = Explanation(np.zeros_like(scene.residual), gain, np.array([height]), height * constant)
+    size, name = height * scene.scale[i, 0], scene.named(i)
+    text = (
+        f"{name} differs from the model by a constant {size:+.3g}{scene.unit(i)}: a sensor offset, or a "
+        "constant force."
     )
-
-
-def _unit(scene: ModelOnRecord, i: int) -> str:
-    unit = scene.data.output_units[i]
-    return f" {unit}" if unit else ""
+    values = {"output": name, "offset": size, "kind": "offset"}
+    return Finding("time", f"whole record, {name}", "offset", one, 1, 1, text, values)
 
 
 # ---------------------------------------------------------------------- delay, sign, clipping
@@ -92,34 +77,25 @@ def delays(scene: ModelOnRecord) -> list[Finding]:
     found = []
     grid = np.concatenate([np.arange(-3.0, 3.01, 0.25), np.arange(4.0, 13.0), [16.0, 20.0, 25.0, 32.0]])
     grid = grid[np.abs(grid) > 1e-9]
-    rows = [list(range(scene.n_outputs))]
-    if scene.n_outputs > 1:
-        rows += [[i] for i in range(scene.n_outputs)]
-    for chosen in rows:
+    every = list(range(scene.n_outputs))
+    for chosen in [every, *([i] for i in every if len(every) > 1)]:
+        mask = np.isin(every, chosen)[:, None]
 
-        def late(delay: float, chosen: list[int] = chosen) -> Array:
-            shape = np.zeros_like(scene.run)
-            shape[chosen] = (scene.late(delay) - scene.run)[chosen]
-            return shape
+        def late(values: Array, mask: NDArray[np.bool_] = mask) -> Array:
+            return np.array([mask * (scene.late(v) - scene.run) for v in values])
 
         one = scene.evidence.searched(late, grid)
         samples = float(one.values[0])
-        seconds = samples * scene.dt
-        who = "all outputs" if len(chosen) == scene.n_outputs else scene.named(chosen[0])
-        word = "later" if samples > 0 else "earlier"
-        found.append(
-            Finding(
-                "time",
-                f"whole record, {who}",
-                "delay",
-                one,
-                1,
-                grid.size,
-                f"{who} come{'s' if len(chosen) == 1 and scene.n_outputs > 1 else ''} {abs(seconds):.3g} s "
-                f"({abs(samples):.2f} samples) {word} than in the model: a delay in the signal path.",
-                {"delay": seconds, "samples": samples, "output": who, "kind": "delay"},
-            )
+        seconds, word = samples * scene.dt, "later" if samples > 0 else "earlier"
+        who, come = "all outputs", "come"
+        if len(chosen) == 1:
+            who, come = scene.named(chosen[0]), "comes" if len(every) > 1 else "come"
+        text = (
+            f"{who} {come} {abs(seconds):.3g} s ({abs(samples):.2f} samples) {word} than in the model: a "
+            "delay in the signal path."
         )
+        values = {"delay": seconds, "samples": samples, "output": who, "kind": "delay"}
+        found.append(Finding("time", f"whole record, {who}", "delay", one, 1, grid.size, text, values))
     return found
 
 
@@ -127,39 +103,20 @@ def signs(scene: ModelOnRecord) -> list[Finding]:
     """An output of the wrong sign or scale."""
     found = []
     for i in range(scene.n_outputs):
-        column = np.zeros_like(scene.run)
-        column[i] = scene.run[i]
         # the initial state was estimated with this output as it is: it may be another one
-        starts = scene.free(i)
-        one = scene.evidence.linear([column, *starts])
+        columns = [scene.only(i, scene.run[i]), *scene.free(i)]
+        one, name = scene.evidence.linear(columns), scene.named(i)
         factor = 1.0 + float(one.values[0])
-        name = scene.named(i)
+        values: dict[str, object] = {"output": name, "factor": factor}
         if -1.3 < factor < -0.7:
-            found.append(
-                Finding(
-                    "time",
-                    f"whole record, {name}",
-                    "sign",
-                    one,
-                    1 + len(starts),
-                    1,
-                    f"{name} has the wrong sign: it is {factor:.3g} times the model output.",
-                    {"output": name, "factor": factor, "kind": "sign"},
-                )
-            )
+            dimension, where, measure = "time", f"whole record, {name}", "sign"
+            text = f"{name} has the wrong sign: it is {factor:.3g} times the model output."
         else:
-            found.append(
-                Finding(
-                    "frequency",
-                    f"all frequencies, {name}",
-                    "gain",
-                    one,
-                    1 + len(starts),
-                    1,
-                    f"{name} is {factor:.4g} times the model output at all frequencies: a gain is wrong.",
-                    {"output": name, "factor": factor, "kind": "gain", "low": 0.0, "high": np.inf},
-                )
-            )
+            dimension, where, measure = "frequency", f"all frequencies, {name}", "gain"
+            text = f"{name} is {factor:.4g} times the model output at all frequencies: a gain is wrong."
+            values |= {"low": 0.0, "high": np.inf}
+        values["kind"] = measure
+        found.append(Finding(dimension, where, measure, one, len(columns), 1, text, values))
     return found
 
 
@@ -170,67 +127,60 @@ def pinned(scene: ModelOnRecord) -> list[Finding]:
     """
     found = []
     for i, y in enumerate(scene.data.outputs):
-        still = np.flatnonzero(np.diff(y) == 0.0)
+        still = np.count_nonzero(np.diff(y) == 0.0)
         for limit, side in ((float(y.max()), "above"), (float(y.min()), "below")):
             at = y == limit
             runs = int(np.sum(at[1:] & at[:-1]))
             # how often neighbors are equal elsewhere, as in a coarse or resting record
-            usual = max((still.size - runs + 1) / y.size, 1.0 / y.size)
+            usual = max((still - runs + 1) / y.size, 1.0 / y.size)
             if runs < 4 or runs < 3.0 * usual * at.sum() or at.mean() > _RESTING or not cut_off(y, limit):
                 continue
             chance = float(stats.binom.logsf(runs - 1, int(at.sum()), min(usual, 1.0)))
-            fit = np.zeros_like(scene.residual)
-            fit[i, at] = scene.residual[i, at]
-            name, unit = scene.named(i), _unit(scene, i)
-            found.append(
-                Finding(
-                    "time",
-                    f"where {name} reaches {limit:.4g}{unit}",
-                    "clipping",
-                    Explanation(fit, -2.0 * chance, np.array([limit])),
-                    1,
-                    2,
-                    f"{name} is constant at {limit:.4g}{unit} in {at.sum()} samples: the record is clipped "
-                    "at the end of its range.",
-                    {"output": name, "limit": limit, "side": side, "kind": "pinned"},
-                )
+            one = Explanation(scene.only(i, scene.residual[i] * at), -2.0 * chance, np.array([limit]))
+            name, level = scene.named(i), f"{limit:.4g}{scene.unit(i)}"
+            text = (
+                f"{name} is constant at {level} in {at.sum()} samples: the record is clipped at the end of "
+                "its range."
             )
+            values = {"output": name, "limit": limit, "side": side, "kind": "pinned"}
+            where = f"where {name} reaches {level}"
+            found.append(Finding("time", where, "clipping", one, 1, 2, text, values))
     return found
+
+
+_Cut = Callable[[Array, float], Array]
+_CUTS: tuple[tuple[str, _Cut], ...] = (
+    ("above", lambda y, g: np.minimum(y, g) - y),
+    ("below", lambda y, g: np.maximum(y, g) - y),
+    ("on both sides", lambda y, g: np.clip(y, -g, g) - y),
+)
 
 
 def clipping(scene: ModelOnRecord) -> list[Finding]:
     """Tops of an output cut off, or bottoms, or both."""
     found = []
-    shapes: tuple[tuple[str, Callable[[Array, float], Array]], ...] = (
-        ("above", lambda y, g: -np.maximum(y - g, 0.0)),
-        ("below", lambda y, g: np.maximum(g - y, 0.0)),
-        ("on both sides", lambda y, g: np.clip(y, -g, g) - y),
-    )
     for i, (run, y) in enumerate(zip(scene.run, scene.measured, strict=True)):
-        for side, cut in shapes:
+        for side, cut in _CUTS:
             reach = np.abs(run) if side == "on both sides" else run
             quantiles = np.linspace(0.5, 0.999, 26) if side != "below" else np.linspace(0.001, 0.5, 26)
 
-            def shape(g: float, cut: Callable[[Array, float], Array] = cut, i: int = i) -> Array:
-                column = np.zeros_like(scene.run)
-                column[i] = cut(scene.run[i], g)
-                return column
+            def flattened(values: Array, i: int = i, cut: _Cut = cut) -> Array:
+                return np.array([scene.only(i, cut(scene.run[i], g)) for g in values])
 
-            one = scene.evidence.searched(shape, np.quantile(reach, quantiles))
-            taken = cut(run, float(one.values[-1]))
+            one = scene.evidence.searched(flattened, np.quantile(reach, quantiles))
+            taken = cut(run, one.values[-1])
             ends = [s * _flat(s * y, s * run, s * taken < 0) for s in (-1, 1) if np.any(s * taken < 0)]
             if not ends or not np.isfinite(ends).all():
                 continue
             limits = [end * scene.scale[i, 0] for end in ends]
-            name, text = scene.named(i), " and ".join(f"{one:.3g}" for one in limits) + _unit(scene, i)
-            found.append(
-                Finding(
-                    "time", f"where {name} reaches {text}", "clipping", one, 1, 26,
-                    f"{name} is clipped at {text} ({100 * np.mean(taken != 0):.2g} % of the time): the "
-                    "range of the sensor is exceeded.",
-                    {"output": name, "limit": limits[-1], "side": side, "kind": "clipping"},
-                )
-            )  # fmt: skip
+            name, level = scene.named(i), " and ".join(f"{one:.3g}" for one in limits) + scene.unit(i)
+            text = (
+                f"{name} is clipped at {level} ({100 * np.mean(taken != 0):.2g} % of the time): the range of "
+                "the sensor is exceeded."
+            )
+            values = {"output": name, "limit": limits[-1], "side": side, "kind": "clipping"}
+            where = f"where {name} reaches {level}"
+            found.append(Finding("time", where, "clipping", one, 1, 26, text, values))
     return found
 
 
@@ -244,3 +194,176 @@ def _flat(y: Array, run: Array, at: NDArray[np.bool_]) -> float:
     above = run[at] - run[at].mean()
     follows = float(above @ y[at]) > 0.5 * float(above @ above) > 0.0
     return np.nan if follows or np.sum(y > beyond) > 0.05 * at.sum() else level
+
+
+# ---------------------------------------------------------------------- stretches
+def stretches(scene: ModelOnRecord) -> list[Finding]:
+    """Stretches in which an output is off by more than the rest explains."""
+    found = []
+    for i in range(scene.n_outputs):
+        masked = np.zeros(scene.n_samples, dtype=bool)
+        for _ in range(_MOST):
+            one = _stretch(scene, i, masked)
+            if one is None:
+                break
+            found.append(one)
+            a, b = one.values["span"]
+            masked[max(a - 2, 0) : b + 2] = True
+    return found
+
+
+def _stretch(scene: ModelOnRecord, i: int, masked: NDArray[np.bool_]) -> Finding | None:
+    N, order = scene.n_samples, scene.evidence.order
+    r = scene.residual[i]
+    best: tuple[float, int, int, Array] | None = None
+    for energy in (r**2, innovations(scene.evidence.whitener.filters[i], r) ** 2):
+        a0, b0 = _loudest(np.where(masked, np.nan, energy))
+        for _ in range(3):
+            inside = np.zeros((scene.n_outputs, N), dtype=bool)
+            inside[i] = masked
+            inside[i, a0:b0] = True
+            # what happened there must not bend the initial state, nor the noise model
+            left = scene.evidence.outside(inside)[i]
+            own, _ = autoregression(np.where(inside[i], 0.0, left), order=order)
+            edges = _edges(np.where(masked, np.nan, _both_ways(own, left)), a0, b0)
+            if edges == (a0, b0):
+                break
+            a0, b0 = edges
+        worth = _worth(r, left, masked, a0, b0, order)
+        if best is None or worth > best[0]:
+            best = worth, a0, b0, left
+    assert best is not None
+    worth, a0, b0, left = best
+    if worth <= 0 or b0 - a0 < _SHORTEST or b0 - a0 > 0.9 * N:
+        return None
+    inside_level = float(np.sqrt(np.mean(left[a0:b0] ** 2)))
+    outside_level = float(np.sqrt(np.mean(np.delete(left, slice(a0, b0)) ** 2)))
+    times = inside_level / max(outside_level, 1e-300)
+    # the stretch is brought down to the level of the rest, not to nothing
+    fit = r - left
+    fit[a0:b0] += left[a0:b0] * max(1.0 - outside_level / max(inside_level, 1e-300), 0.0)
+    one, dof = Explanation(scene.only(i, fit), worth, np.array([inside_level])), 3
+    seen, measure, stuck = scene.measured[i], "error level", None
+    text = "the error is larger than anywhere else: a disturbance or a change"
+    hangs = _jumps(seen, a0, b0)
+    if hangs:  # the record shows a constant instead of the output
+        flat = np.zeros(N)
+        flat[a0:b0] = 1.0
+        stuck = scene.evidence.linear([scene.only(i, scene.run[i] * flat), scene.only(i, flat)])
+        stuck = stuck if -1.25 < stuck.values[0] < -0.75 else None
+        hangs = seen[a0:b0].std() < _STILL * np.delete(seen, slice(a0, b0)).std()
+    if stuck is not None and stuck.gain > worth:
+        one, dof = Explanation(stuck.fit, stuck.gain, one.values), 4
+    if stuck is not None or hangs:
+        measure = "dropout"
+        text = "the output does not follow the model at all: the record dropped out or was stuck"
+    elif times < _LOUDER:
+        return None  # an error that goes with the motion is a little larger where the motion is
+    start, stop, name = scene.time(a0), scene.time(b0), scene.named(i)
+    larger = "more than 1000" if times > 1e3 else f"{times:.0f}" if times > 10 else f"{times:.2g}"
+    text = f"From {start:.4g} to {stop:.4g} s {text} ({larger} times the error elsewhere)."
+    values = {"start": start, "stop": stop, "output": name, "span": (a0, b0), "ratio": times}
+    # stretches that do not overlap much, of all lengths, are chosen from
+    where, tried = f"{start:.4g} ... {stop:.4g} s, {name}", 4 * N // _SHORTEST
+    return Finding("time", where, measure, one, dof, tried, text, values)
+
+
+def _both_ways(own: Array, left: Array) -> Array:
+    """Return the smaller squared innovations, forward or backward in time.
+
+    So the memory of the filter does not reach over both edges of a stretch.
+    """
+    forwards, backwards = innovations(own, left), innovations(own, left[::-1])[::-1]
+    return np.asarray(np.minimum(forwards**2, backwards**2))
+
+
+def _sums(energy: Array) -> tuple[Array, Array]:
+    """Running sum of squares and of counts, gaps left out."""
+    good = np.isfinite(energy)
+    total = np.concatenate([[0.0], np.cumsum(np.where(good, energy, 0.0))])
+    return total, np.concatenate([[0.0], np.cumsum(good)])
+
+
+def _ratio(total: Array, count: Array, a: NDArray[np.int_], b: NDArray[np.int_]) -> Array:
+    """Return twice the log-likelihood ratio of a level of its own in a..b.
+
+    It is minus infinity where the level in a..b is lower.
+    """
+    n, m = count[-1], count[b] - count[a]
+    inside = (total[b] - total[a]) / np.maximum(m, 1)
+    outside = (total[-1] - total[b] + total[a]) / np.maximum(n - m, 1)
+    tiny = 1e-14 * total[-1] / n + 1e-300
+    whole = total[-1] / n + tiny
+    value = n * np.log(whole) - m * np.log(inside + tiny) - (n - m) * np.log(outside + tiny)
+    return np.where((inside > outside) & (m >= _SHORTEST) & (n - m >= _SHORTEST), value, -np.inf)
+
+
+def _loudest(energy: Array) -> tuple[int, int]:
+    """Loudest stretch of all lengths."""
+    total, count = _sums(energy)
+    n, best, where = energy.size, -np.inf, (0, _SHORTEST)
+    length = float(_SHORTEST)
+    while length <= 0.9 * n:
+        size = round(length)
+        a = np.arange(0, n - size + 1, max(1, size // 8))
+        a = np.append(a, n - size)
+        value = _ratio(total, count, a, a + size)
+        k = int(np.argmax(value))
+        if value[k] > best:
+            best, where = float(value[k]), (int(a[k]), int(a[k]) + size)
+        length *= 1.25
+    return where
+
+
+def _edges(energy: Array, a: int, b: int) -> tuple[int, int]:
+    """Move one edge, then the other, to where it fits best."""
+    total, count = _sums(energy)
+    n = energy.size
+    for _ in range(3):
+        before = a, b
+        starts = np.arange(0, max(b - _SHORTEST, 0) + 1)
+        a = int(starts[np.argmax(_ratio(total, count, starts, np.full(starts.size, b)))])
+        stops = np.arange(min(a + _SHORTEST, n), n + 1)
+        b = int(stops[np.argmax(_ratio(total, count, np.full(stops.size, a), stops))])
+        if (a, b) == before:
+            break
+    return a, b
+
+
+def _worth(r: Array, left: Array, masked: NDArray[np.bool_], a: int, b: int, order: int) -> float:
+    """Return twice the log-likelihood gain of a level of its own in a..b.
+
+    Heavy tails are bounded.
+    """
+    inside = np.zeros(r.size, dtype=bool)
+    inside[a:b] = True
+    own, _ = autoregression(np.where(inside | masked, 0.0, left), order=order)
+    e = innovations(own, np.where(masked, 0.0, left))
+    keep = np.arange(r.size) >= order
+    keep[b : b + order] = False  # there the filter still remembers the stretch
+    if (keep & inside & ~masked).sum() < 4 or (keep & ~inside).sum() < 4 * order:
+        return -np.inf
+    quiet, loud = e[keep & ~inside & ~masked], e[keep & inside & ~masked]
+    # single outliers must not make a stretch: the loud level is taken from its middle too
+    level = min(float(np.mean(loud**2)), 3.0 * float(np.median(loud**2)) / 0.455)
+    own_levels = quiet.size * np.log(np.mean(quiet**2) + 1e-300) + loud.size * np.log(max(level, 1e-300))
+    rest = np.where(masked, 0.0, r)
+    whole, _ = autoregression(rest, order=order)
+    total = innovations(whole, rest)[keep & ~masked]
+    return float(total.size * np.log(np.mean(total**2) + 1e-300) - own_levels)
+
+
+def _jumps(seen: Array, a: int, b: int) -> bool:
+    """Return whether a record jumps where a stretch begins or ends.
+
+    An output that hangs must catch up. A signal that moves fast relative to the sampling jumps anywhere, but
+    it does not rest by itself.
+    """
+    steps = np.abs(np.diff(seen))
+    near = np.zeros(steps.size, dtype=bool)
+    for edge in (a, b):
+        near[max(edge - _NEAR, 0) : edge + _NEAR] = 0 < edge < seen.size
+    if not near.any() or near.all():
+        return False
+    usual = float(np.sqrt(np.mean(steps[~near] ** 2)))
+    return usual > _FAST * seen.std() or float(steps[near].max()) > _JUMP * usual

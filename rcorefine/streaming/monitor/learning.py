@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from ...arguments import as_list
-from ...comparison.metrics import fit_percent
+from ...comparison.signals import fit_percent
 from ...data.channels import match_channels, record_for
 from ...data.measurement import Measurement
 from ...data.records import as_record

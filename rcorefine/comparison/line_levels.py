@@ -13,13 +13,51 @@ from numpy.typing import NDArray
 from ..data.measurement import Measurement
 from ..results import Row
 from ..systems.linear import Array
-from .failure_map.distortion import period_of
 
-__all__ = ["LineLevels", "line_levels"]
+__all__ = ["LineLevels", "excited_lines", "line_levels"]
 
 _LEAST = 3  # periods: the first one settles, and noise takes two to be seen
 _SENT = 1e-12  # of the strongest line's power: less was not sent
 _REACH = 5  # times the highest line sent, up to which distortion is looked for
+
+
+def period_of(signals: Array) -> int | None:
+    """Return the shortest period of all inputs, in samples.
+
+    The inputs (n_w, N) repeat it at least twice. None if there is no such period.
+
+    Examples
+    --------
+    >>> period_of(np.sin(2 * np.pi * np.arange(100) / 20)[None])
+    20
+    """
+    n = signals.shape[1]
+    moving = [row for row in signals if np.ptp(row) > 0]
+    if not moving:
+        return None
+    for period in range(4, n // _LEAST + 1):
+        if all(
+            abs(row[period] - row[0]) <= 1e-9 * np.ptp(row)
+            and np.abs(row[period:] - row[:-period]).max() <= 1e-9 * np.ptp(row)
+            for row in moving
+        ):
+            return period
+    return None
+
+
+def excited_lines(inputs: Array) -> tuple[int, NDArray[np.bool_], int] | None:
+    """Return period, excited spectral lines and base line of the inputs.
+
+    The period is in samples, the lines are those of one period, the base is the number of the line of which
+    all are harmonics. None if no input is periodic.
+    """
+    period = period_of(inputs)
+    if period is None:
+        return None
+    sent = np.abs(np.fft.rfft(inputs[:, -period:], axis=1)) ** 2
+    excited = (sent > _SENT * sent.max()).any(axis=0)
+    excited[0] = False
+    return (period, excited, int(np.gcd.reduce(np.flatnonzero(excited)))) if excited.any() else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,19 +124,13 @@ def line_levels(data: Measurement) -> LineLevels | None:
     >>> print(found.kind[:3], found.amplitude[0, :3].round(6))
     ['sent' 'even' 'odd'] [1.   0.05 0.  ]
     """
-    period = period_of(data.inputs)
-    if period is None or data.n_samples < _LEAST * period:
+    found = excited_lines(data.inputs)
+    if found is None:
         return None
+    period, excited, base = found
     count = data.n_samples // period - 1
     last = np.s_[:, data.n_samples - count * period :]
-    sent = np.abs(np.fft.rfft(data.inputs[:, -period:], axis=1)) ** 2
-    excited = (sent > _SENT * sent.max()).any(axis=0)
-    excited[0] = False
-    lines = np.flatnonzero(excited)
-    if not lines.size:
-        return None
-    base = int(np.gcd.reduce(lines))
-    kept = np.arange(base, min(_REACH * lines.max(), (period - 1) // 2) + 1, base)
+    kept = np.arange(base, min(_REACH * np.flatnonzero(excited)[-1], (period - 1) // 2) + 1, base)
     whole = data.outputs[last].reshape(data.n_outputs, count, period)
     spectra = 2.0 / period * np.fft.rfft(whole, axis=2)[:, :, kept]
     noise = spectra.std(axis=1, ddof=1) / np.sqrt(count)
