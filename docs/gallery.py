@@ -14,7 +14,7 @@ import numpy as np
 import rcorefine as rco
 from rcorefine.effects.law import KINDS
 from rcorefine.exceptions import DivergenceError
-from rcorefine.exercises.record import hidden_outputs, noisy, record_of
+from rcorefine.exercises.plants import hidden_outputs, noisy, record_of
 
 SAMPLES, NOISE, LOSS = 2000, 0.01, 0.25
 WITHOUT = {  # need what only you know: where that is told

@@ -132,7 +132,7 @@ def test_declared_units_are_certain_and_are_converted_in_one_line():
 
 
 def test_the_header_of_a_file_tells_its_unit(tmp_path):
-    from rcorefine.data.files import read_record
+    from rcorefine.data.channels import read_record
 
     w, y = spun()
     rows = [f"{k * DT:.2f},{a:.6g},{b:.6g}" for k, (a, b) in enumerate(zip(w, y, strict=True))]

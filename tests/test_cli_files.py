@@ -19,7 +19,7 @@ from rcorefine.commands.analysis import wanted_candidates
 from rcorefine.commands.cli import main
 from rcorefine.commands.example import EXAMPLES as NAMES
 from rcorefine.commands.example import example_csv, example_toml
-from rcorefine.data.files import read_record
+from rcorefine.data.channels import read_record
 from rcorefine.models.reading import builder_names, read_model
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -9,9 +9,8 @@ from scipy import stats
 from statsmodels.stats.meta_analysis import combine_effects
 
 import rcorefine as rco
-from rcorefine.fleet import growth, pooling
-from rcorefine.fleet.comparison import fleet_effects, trends
-from rcorefine.fleet.row import Estimate, SurveyRow
+from rcorefine.fleet import pooling
+from rcorefine.fleet.comparison import Estimate, SurveyRow, fleet_effects, trends
 
 KIND, PLACE = "coulomb_friction", "link1"
 
@@ -89,7 +88,7 @@ def test_slopes_are_those_of_an_analysis_of_covariance(rng):
             weights.append(1 / v)
     fit = sm.WLS(y, np.array(design), weights=weights).fit()
     assert fit.scale > 1
-    slope, std, p_values = growth.slopes(courses)
+    slope, std, p_values = pooling.slopes(courses)
     np.testing.assert_allclose(slope, fit.params[1::2])
     np.testing.assert_allclose(std, fit.bse[1::2])
     np.testing.assert_allclose(p_values, fit.pvalues[1::2])

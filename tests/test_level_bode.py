@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import rcorefine as rco
-from rcorefine.data.levels import stretches_by_level
+from rcorefine.data.records import stretches_by_level
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.systems.response import hold_factor

@@ -55,8 +55,6 @@ WITH_KEYWORDS: dict[str, Callable[[], object]] = {
     "Measurement.from_mat": lambda: _read_with_unknown_keyword("mat"),
     "Measurement.from_npz": lambda: _read_with_unknown_keyword("npz"),
     "Measurement.from_hdf5": lambda: _read_with_unknown_keyword("hdf5"),
-    "Measurement.from_tdms": lambda: _read_with_unknown_keyword("tdms"),
-    "Measurement.from_rosbag": lambda: rco.Measurement.from_rosbag("none", "/u/x", "/y/x", no_such_keyword=1),
     "Measurement.from_uff": lambda: rco.Measurement.from_uff("none.uff", 0, 1, no_such_keyword=1),
     "FrequencyResponse.from_csv": lambda: rco.FrequencyResponse.from_csv(
         "none.csv", "f", "H", "phase", no_such_keyword=1

@@ -21,7 +21,7 @@ import control as ct
 from ..arguments import printable
 from ..comparison.compare import compare
 from ..comparison.result import best_of, failures_of
-from ..data import files
+from ..data import channels
 from ..data.measurement import Measurement
 from ..diagnosis.check import check
 from ..diagnosis.check_rows import Check
@@ -123,7 +123,7 @@ def opened(arguments: Namespace) -> tuple[Any, Measurement, Measurement | None]:
 
 
 def read_record(path: Path, model: Any, arguments: Namespace) -> Measurement:
-    """Record for a model; see `rcorefine.data.files.read_record`.
+    """Record for a model; see `rcorefine.data.channels.read_record`.
 
     Parameters
     ----------
@@ -144,13 +144,13 @@ def read_record(path: Path, model: Any, arguments: Namespace) -> Measurement:
         If the file is of another kind, or a column is missing; with the option that would help.
     """
     try:
-        return files.read_record(path, model, **reading(arguments))
+        return channels.read_record(path, model, **reading(arguments))
     except DataError as error:
         no_time = re.search("no (column|variable) 'time'", str(error))
         hint = ""
         if arguments.time is None and arguments.dt is None and no_time:
             hint = " (name the column of times with --time, or give the sampling time with --dt)"
-        elif path.suffix.lower() in files.SUFFIXES and (arguments.input is None or arguments.output is None):
+        elif path.suffix.lower() in channels.SUFFIXES and None in (arguments.input, arguments.output):
             hint = " (name the columns with --input and --output, in the order of the model's signals)"
         raise DataError(f"{error}{hint}") from error
 
@@ -158,7 +158,7 @@ def read_record(path: Path, model: Any, arguments: Namespace) -> Measurement:
 def reading(arguments: Namespace) -> dict[str, Any]:
     """Return the options for the columns as `read_record` takes them.
 
-    See `rcorefine.data.files.read_record`.
+    See `rcorefine.data.channels.read_record`.
     """
     return {
         "inputs": arguments.input,

@@ -17,7 +17,7 @@ from ..diagnosis import Diagnosis, diagnose
 from ..diagnosis.improve import improve
 from ..diagnosis.result import Improvement
 from ..effects.effect import Effect
-from ..exercises.record import hidden_outputs, noisy, record_of
+from ..exercises.plants import hidden_outputs, noisy, record_of
 from ..jit import NUMBA
 from ..models.builders import mass_spring_damper
 from ..models.physical_model import PhysicalModel

@@ -180,7 +180,7 @@ def example_csv(name: str, *, seed: int = 1, exact: bool = False) -> str:
         CSV with a header line: time, inputs, outputs.
     """
     from ..effects.effect import Effect
-    from ..exercises.record import hidden_outputs, noisy, record_of
+    from ..exercises.plants import hidden_outputs, noisy, record_of
     from ..models.conversion import as_physical
 
     made = _EXAMPLES[name]

@@ -62,7 +62,7 @@ _EXIT_CODES = (
 _MODEL = (
     "model: .toml (matrices, or a builder's parameters; see rcorefine example), or .npz/.mat with A, B, C, D"
 )
-_DATA = "record: .csv, .tsv, .txt, .lvm, .log (with a header), .mat, .npz, .h5, .tdms, .bag, .mcap or .db3"
+_DATA = "record: .csv, .tsv, .txt, .lvm, .log (with a header), .mat, .npz or .h5"
 
 _FILE = {"type": Path, "metavar": "FILE"}
 _NAMES = {"action": Names, "metavar": "NAME"}

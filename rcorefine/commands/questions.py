@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..data.files import SUFFIXES
+from ..data.channels import SUFFIXES
 from ..data.frequency_response import FrequencyResponse
 from ..exceptions import ModelError
 from ..explorer.serving import explore

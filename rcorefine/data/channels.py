@@ -1,6 +1,6 @@
-"""Assignment of record channels to model channels.
+"""Records for a model, also from files.
 
-Channels are matched by name, otherwise by position.
+Channels are matched by name, otherwise by position. The suffix of a file gives its kind.
 """
 
 from __future__ import annotations
@@ -8,17 +8,31 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import control as ct
 import numpy as np
 
+from ..exceptions import DataError
 from ..systems.linear import LinearModel
 from .frequency_response import FrequencyResponse
 from .measurement import Measurement
 
-__all__ = ["Channels", "aligned", "match_channels", "record_for", "resting_inputs", "with_outputs"]
+__all__ = [
+    "SUFFIXES", "Channels", "aligned", "match_channels", "read_record", "record_for", "resting_inputs",
+    "with_outputs",
+]  # fmt: skip
 
 _DEFAULT = re.compile(r"[uyx]\[\d+\]")
+
+_READERS: dict[str, Any] = {
+    **dict.fromkeys((".csv", ".tsv", ".txt", ".lvm", ".log"), Measurement.from_csv),
+    ".mat": Measurement.from_mat,
+    ".npz": Measurement.from_npz,
+    **dict.fromkeys((".h5", ".hdf5"), Measurement.from_hdf5),
+}
+SUFFIXES = tuple(_READERS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,52 +81,42 @@ def match_channels(model: LinearModel, data: Measurement | FrequencyResponse) ->
     """
     notes: list[str] = []
     driven = not isinstance(data, Measurement) or data.n_inputs > 0
-    inputs = (
-        tuple(range(model.n_inputs))
-        if not driven
-        else _places(
-            "input", model.input_labels, data.input_labels, model.name, data.name, notes, partly=False
-        )
-    )
-    outputs = _places(
-        "output", model.output_labels, data.output_labels, model.name, data.name, notes, partly=True
-    )
+    inputs = _places("input", model, data, notes) if driven else tuple(range(model.n_inputs))
+    outputs = _places("output", model, data, notes)
     return Channels(inputs, outputs, tuple(notes), () if driven else tuple(model.input_labels))
 
 
 def _places(
-    what: str,
-    wanted: Sequence[str],
-    present: Sequence[str],
-    model: str,
-    record: str,
-    notes: list[str],
-    *,
-    partly: bool,
+    what: str, model: LinearModel, data: Measurement | FrequencyResponse, notes: list[str]
 ) -> tuple[int, ...]:
+    """Return the rows of a record for the inputs or outputs of a model.
+
+    Outputs may be missing in the record, inputs not.
+    """
+    wanted, present = (getattr(one, f"{what}_labels") for one in (model, data))
     found = [name for name in wanted if name in present]
     by_position = any(_DEFAULT.fullmatch(name) for name in [*wanted, *present])
-    if len(found) == len(wanted) or (partly and found and not by_position):
+    if len(found) == len(wanted) or (what == "output" and found and not by_position):
         places = tuple(present.index(name) if name in present else -1 for name in wanted)
         kept = [place for place in places if place >= 0]
         if kept != sorted(kept):
-            notes.append(f"{what}s of {model!r} were reordered by name: {', '.join(found)}")
+            notes.append(f"{what}s of {model.name!r} were reordered by name: {', '.join(found)}")
         if len(found) < len(wanted):
             notes.append(f"not measured, so not compared: {', '.join(n for n in wanted if n not in present)}")
         if len(kept) < len(present):
             left = ", ".join(name for name in present if name not in wanted)
-            notes.append(f"{what}s of the record that {model!r} does not have: {left}")
+            notes.append(f"{what}s of the record that {model.name!r} does not have: {left}")
         return places
     if by_position:
         if len(wanted) != len(present):
             raise ct.ControlDimension(
-                f"model {model!r} has {len(wanted)} {what}(s) ({', '.join(wanted)}) and record {record!r} "
-                f"{len(present)} ({', '.join(present)}); name both alike, or give as many"
+                f"model {model.name!r} has {len(wanted)} {what}(s) ({', '.join(wanted)}) and record "
+                f"{data.name!r} {len(present)} ({', '.join(present)}); name both alike, or give as many"
             )
         return tuple(range(len(wanted)))
     missing = ", ".join(repr(name) for name in wanted if name not in present)
     raise ct.ControlDimension(
-        f"record {record!r} has no {what} {missing} of model {model!r}; it has "
+        f"record {data.name!r} has no {what} {missing} of model {model.name!r}; it has "
         f"{', '.join(map(repr, present))}. Name them alike: Measurement(..., {what}_labels=[...]) or "
         f"control.ss(..., {what}s=[...])"
     )
@@ -178,3 +182,85 @@ def _selected(data: Measurement, inputs: Sequence[int], outputs: Sequence[int]) 
 def with_outputs(data: Measurement, outputs: Sequence[int]) -> Measurement:
     """The record with some of its outputs, all of its inputs."""
     return _selected(data, range(data.n_inputs), outputs)
+
+
+def read_record(
+    path: Path,
+    model: Any,
+    *,
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
+    time: str | None = None,
+    dt: float | None = None,
+    hold: str = "zoh",
+    decimal: str | None = None,
+) -> Measurement:
+    """Record for a model.
+
+    Parameters
+    ----------
+    path : Path
+        Text (.csv, .tsv, .txt, .lvm, .log), .mat, .npz, .h5 or .hdf5.
+    model : StateSpace or PhysicalModel
+        Model whose signals are looked for where `inputs` or `outputs` is None.
+    inputs, outputs : sequence of str, optional
+        Columns by the model's names, or as many of other names in the model's order.
+    time : str, optional
+        Column of times in s; "time" where `dt` is not given either.
+    dt : float, optional
+        Sampling time in s.
+    hold : {"zoh", "foh", "bandlimited"}
+        As `Measurement`.
+    decimal : {".", ","}, optional
+        Decimal mark of a text file; by default what its columns show.
+
+    Returns
+    -------
+    Measurement
+        Columns that are named like the model's signals, or fewer than it has, are found by name;
+        as many of other names stand in the model's order and take its names.
+
+    Raises
+    ------
+    DataError
+        If the file is of another kind, or a column is missing.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _READERS:
+        raise DataError(
+            f"{path}: a record is a {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} file. For TDMS files, "
+            'ROS bags and logs see "read a format of another package" on the how-to page'
+        )
+    reader = _READERS[suffix]
+    text: dict[str, Any] = {} if decimal is None else {"decimal": decimal}
+    if text and reader != Measurement.from_csv:
+        raise DataError(f"{path} is no text file, which alone has a decimal mark")
+    linear = LinearModel.from_statespace(getattr(model, "system", model))
+    known: dict[str, str] = {}
+    columns, labels = {}, {}
+    for side, given in (("input", inputs), ("output", outputs)):
+        own = list(getattr(linear, f"{side}_labels"))
+        known |= dict(zip(own, getattr(model, f"{side}_units", ()), strict=False))
+        columns[side] = own if given is None else list(given)
+        by_name = set(columns[side]) <= set(own) or len(columns[side]) != len(own)
+        labels[side] = columns[side] if by_name else own
+    record = reader(
+        path,
+        columns["input"],
+        columns["output"],
+        time="time" if time is None and dt is None else time,
+        dt=dt,
+        hold=hold,
+        input_labels=labels["input"],
+        output_labels=labels["output"],
+        **text,
+    )
+    units = {  # those of the file, and the model's where the file has none
+        f"{side}_units": [
+            unit or known.get(label, "")
+            for unit, label in zip(getattr(record, f"{side}_units"), labels[side], strict=True)
+        ]
+        for side in labels
+    }
+    changed: Measurement = record._changed(**units)
+    return changed

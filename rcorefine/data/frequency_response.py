@@ -5,24 +5,56 @@ The class extends that of python-control.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Unpack
+from collections.abc import Callable, Mapping, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import Any, Self, Unpack
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arguments import as_array, as_choice, as_labels, as_number, as_text, as_texts, as_vector, as_whole
+from ..arguments import (
+    as_array,
+    as_choice,
+    as_labels,
+    as_list,
+    as_number,
+    as_path,
+    as_text,
+    as_texts,
+    as_vector,
+    as_whole,
+    shown,
+)  # fmt: skip
 from ..exceptions import DataError
-from ..results import Options, picture, show
+from ..results import Options, Result, picture, show
 from ..systems.linear import Array
-from .response_formats import ResponseReaders
+from .formats import damaged, names_of, read_uff_responses
 from .signals import HOLDS, default_labels
+from .tables import read_csv
 
-__all__ = ["FrequencyResponse", "as_amplitude", "as_coherence", "as_deviation", "as_points"]
+__all__ = ["FrequencyResponse"]
+
+_UNITS: dict[str, dict[str, float]] = {
+    "frequency_unit": {"Hz": 2e0 * np.pi, "kHz": 2e3 * np.pi, "rad/s": 1.0, "rpm": np.pi / 30.0},
+    "magnitude_unit": {"1": 1.0, "dB": 1.0},
+    "phase_unit": {"deg": np.pi / 180.0, "°": np.pi / 180.0, "rad": 1.0},
+}
+_CHECKS: dict[str, Callable[[Any, str], Any]] = {
+    "amplitude": lambda value, name: as_vector(value, name, above=0.0),
+    "n_averages": lambda value, name: as_number(value, name, above=0.0, error=DataError),
+    "dt": lambda value, name: as_number(value, name, least=0.0, what="a time in seconds", error=DataError),
+    "hold": lambda value, name: as_choice(value, name, HOLDS),
+    "name": lambda value, name: as_text(value, name, empty=False),
+    **dict.fromkeys(("input_labels", "output_labels"), names_of),
+    **dict.fromkeys(("input_units", "output_units"), as_texts),
+    **{key: lambda value, name: as_choice(value, name, _UNITS[name]) for key in _UNITS},
+}
+_LEAST_COHERENCE = 1e-6  # below it a line says nothing, and its error is no number
 
 
-def as_points(response: Any) -> NDArray[np.complex128]:
+def _as_points(response: Any) -> NDArray[np.complex128]:
     """Complex response of shape (n_y, n_w, n_omega)."""
     try:
         values = np.array(response, subok=False)
@@ -44,7 +76,7 @@ def as_points(response: Any) -> NDArray[np.complex128]:
     return values.astype(np.complex128)
 
 
-def as_deviation(values: ArrayLike, shape: tuple[int, ...]) -> Array:
+def _as_deviation(values: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Numbers that are not negative, one for all points or one each."""
     array = as_array(values, "std")
     if array.ndim not in (0, 3) and not (array.ndim == 1 and shape[:2] == (1, 1)):
@@ -56,7 +88,7 @@ def as_deviation(values: ArrayLike, shape: tuple[int, ...]) -> Array:
     return np.array(np.broadcast_to(array, shape))
 
 
-def as_coherence(values: ArrayLike, n_y: int, n: int) -> Array:
+def _as_coherence(values: ArrayLike, n_y: int, n: int) -> Array:
     """Shares from 0 to 1, of shape (n_y, n)."""
     array = np.atleast_2d(as_array(values, "coherence"))
     if array.shape != (n_y, n):
@@ -66,7 +98,7 @@ def as_coherence(values: ArrayLike, n_y: int, n: int) -> Array:
     return array
 
 
-def as_amplitude(value: Any, n: int, order: NDArray[np.intp]) -> Array | None:
+def _as_amplitude(value: Any, n: int, order: NDArray[np.intp]) -> Array | None:
     """Return the input peaks in the order of the sorted frequencies.
 
     None if they are not known.
@@ -81,10 +113,7 @@ def as_amplitude(value: Any, n: int, order: NDArray[np.intp]) -> Array | None:
     return np.broadcast_to(peaks, (n,))[order].copy()
 
 
-_LEAST_COHERENCE = 1e-6  # below it a line says nothing, and its error is no number
-
-
-class FrequencyResponse(ResponseReaders, ct.FrequencyResponseData):  # type: ignore[misc]
+class FrequencyResponse(Result, ct.FrequencyResponseData):  # type: ignore[misc]
     """Measured frequency response, with its uncertainty.
 
     It passes wherever python-control takes a `FrequencyResponseData`; what is computed
@@ -168,7 +197,7 @@ class FrequencyResponse(ResponseReaders, ct.FrequencyResponseData):  # type: ign
         hold: str | None = None,
         name: str = "measured",
     ) -> None:
-        values, points = as_points(response), as_vector(omega, "omega", above=0.0)
+        values, points = _as_points(response), as_vector(omega, "omega", above=0.0)
         n_y, n_w, n = values.shape
         if points.size != n:
             raise ct.ControlDimension(f"response has {n} points and omega {points.size}")
@@ -199,9 +228,9 @@ class FrequencyResponse(ResponseReaders, ct.FrequencyResponseData):  # type: ign
         )
         self.segment_length = as_whole(segment_length, "segment_length", least=0)
         self.n_omitted = as_whole(n_omitted, "n_omitted", least=0)
-        self.amplitude = as_amplitude(amplitude, n, order)
-        self.coherence = None if coherence is None else as_coherence(coherence, n_y, n)[:, order]
-        self.std = None if std is None else as_deviation(std, values.shape)[:, :, order]
+        self.amplitude = _as_amplitude(amplitude, n, order)
+        self.coherence = None if coherence is None else _as_coherence(coherence, n_y, n)[:, order]
+        self.std = None if std is None else _as_deviation(std, values.shape)[:, :, order]
         if self.std is None and self.coherence is not None and np.isfinite(self.n_averages) and n_w == 1:
             known = np.maximum(self.coherence, _LEAST_COHERENCE)[:, None]
             self.std = self.magnitude * np.sqrt((1.0 - known) / (2.0 * self.n_averages * known))
@@ -258,6 +287,164 @@ class FrequencyResponse(ResponseReaders, ct.FrequencyResponseData):  # type: ign
             "name": str(response.name),
         }
         return cls(response.frdata, response.omega, hold=hold, **(own | options))
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | PathLike[str],
+        frequency: str,
+        magnitude: str | Sequence[str] | None = None,
+        phase: str | Sequence[str] | None = None,
+        *,
+        real: str | Sequence[str] | None = None,
+        imag: str | Sequence[str] | None = None,
+        coherence: str | Sequence[str] | None = None,
+        std: str | Sequence[str] | None = None,
+        frequency_unit: str | None = None,
+        magnitude_unit: str | None = None,
+        phase_unit: str | None = None,
+        delimiter: str | None = None,
+        decimal: str | None = None,
+        header: Sequence[str] | None = None,
+        **options: Any,
+    ) -> Self:
+        r"""Read a text file as analyzers and labs write it.
+
+        Parameters
+        ----------
+        path : str or path
+            Text file, as in `Measurement.from_csv`.
+        frequency : str
+            Column of the frequencies.
+        magnitude, phase : str or sequence of str, optional
+            Columns of magnitude and phase, of one output or of several (with one input).
+        real, imag : str or sequence of str, optional
+            Columns of real and imaginary part, in place of these.
+        coherence, std : str or sequence of str, optional
+            Columns of the coherence, and of the standard deviation of the magnitude (not in dB).
+        frequency_unit : {"Hz", "kHz", "rad/s", "rpm"}, optional
+            Default: what the header says.
+        magnitude_unit : {"dB", "1"}, optional
+            Default: "dB" where the header says so, else the plain ratio "1".
+        phase_unit : {"deg", "rad"}, optional
+            Default: what the header says.
+        delimiter, decimal, header
+            As in `Measurement.from_csv`.
+        **options
+            `amplitude`, `n_averages`, `input_labels`, `output_labels`, units, `dt`, `hold`, `name` as in
+            `FrequencyResponse`.
+
+        Returns
+        -------
+        FrequencyResponse
+            Named after the file.
+
+        Raises
+        ------
+        DataError
+            No such column, a cell that is no number, a unit that stands nowhere.
+        control.ControlArgument
+            If neither magnitude and phase nor real and imaginary part are named, or both.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "shaker.csv"
+        >>> _ = path.write_text("f [Hz];H [dB];phase [deg]\n1,0;20,0;0\n2,0;0,0;-90\n")
+        >>> measured = rco.FrequencyResponse.from_csv(path, "f", "H", "phase")
+        >>> print(measured.response[0, 0].round(6), (measured.omega / np.pi).round(6), measured.name)
+        [10.+0.j  0.-1.j] [2. 4.] shaker
+        """
+        given = {"frequency_unit": frequency_unit, "magnitude_unit": magnitude_unit, "phase_unit": phase_unit}
+        _check(options | given)
+        polar = real is None and imag is None
+        pair = {"magnitude": magnitude, "phase": phase} if polar else {"real": real, "imag": imag}
+        if any(one is None for one in pair.values()) or not (polar or (magnitude is None and phase is None)):
+            raise ct.ControlArgument(
+                "name the columns of magnitude and phase, or those of real and imag: both of one pair"
+            )
+        f = as_text(frequency, "frequency", empty=False)
+        certainty = {"coherence": coherence, "std": std}
+        columns = {what: _columns(asked, what) for what, asked in (pair | certainty).items()}
+        first, second = (columns[what] for what in pair)
+        for what, names in columns.items():
+            if (names or what in pair) and len(names) != len(first):
+                raise ct.ControlDimension(f"{what} names {len(names)} column(s) for {len(first)} response(s)")
+        path = as_path(path)
+        wanted = list(dict.fromkeys([f, *(name for names in columns.values() for name in names)]))
+        read, units, _ = read_csv(path, wanted, delimiter=delimiter, decimal=decimal, header=header)
+        rows = {what: np.array([read[name] for name in names]) for what, names in columns.items()}
+        if polar:
+            in_dB = (magnitude_unit or ("dB" if "dB" in map(units.get, first) else "1")) == "dB"
+            size = 10.0 ** (rows["magnitude"] / 20.0) if in_dB else rows["magnitude"]
+            turn = _factor("phase_unit", phase_unit, units.get(second[0]), second[0])
+            values = size * np.exp(1j * turn * rows["phase"])
+        else:
+            values = rows["real"] + 1j * rows["imag"]
+        omega = read[f] * _factor("frequency_unit", frequency_unit, units.get(f), f)
+        own: dict[str, Any] = {"name": Path(path).stem}
+        if coherence is not None:
+            own["coherence"] = rows["coherence"]
+        if std is not None:
+            own["std"] = rows["std"][:, None]
+        if len(first) > 1:
+            own["output_labels"] = first
+        return cls(values[:, None], omega, **(own | options))
+
+    @classmethod
+    def from_uff(cls, path: str | PathLike[str], sets: Sequence[int] | None = None, **options: Any) -> Self:
+        r"""Read the frequency responses of a universal file (data sets of type 58).
+
+        Parameters
+        ----------
+        path : str or path
+            Universal file; needs pyuff.
+        sets : sequence of int, optional
+            Which data sets of the file, counted from 0; default all that are frequency responses. Those
+            of one reference and one response each make the matrix.
+        **options
+            As in `from_csv`; labels are "node:direction" of the file.
+
+        Returns
+        -------
+        FrequencyResponse
+            Named after the file; with the coherence where the file holds it for each output.
+
+        Raises
+        ------
+        DataError
+            No frequency response (the types of all sets are listed), sets that do not fill a matrix, other
+            frequencies in one of them. Modes (type 55) are no response: the message says what to do.
+        MissingExtraError
+            If the extra "formats" is not installed.
+
+        Examples
+        --------
+        >>> import importlib.util, pathlib, tempfile
+        >>> path = pathlib.Path(tempfile.mkdtemp()) / "hammer.uff"
+        >>> rest = f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}"
+        >>> _ = path.write_text("\n".join([
+        ...     "    -1", "    58", *["NONE"] * 5,
+        ...     f"{4:5d}{0:10d}{1:5d}{0:10d} {'NONE':10s}{7:10d}{3:4d} {'NONE':10s}{1:10d}{3:4d}",
+        ...     f"{5:10d}{2:10d}{1:10d}{1.0:13.5e}{0.5:13.5e}{0.0:13.5e}", *[rest] * 4,
+        ...     f"{1.0:13.5e}{0.0:13.5e}{2.0:13.5e}{1.0:13.5e}", "    -1", "",
+        ... ]))
+        >>> if importlib.util.find_spec("pyuff"):
+        ...     measured = rco.FrequencyResponse.from_uff(path)
+        ...     assert (measured.output_labels, measured.input_labels) == (("7:3",), ("1:3",))
+        ...     assert np.allclose(measured.omega, 2 * np.pi * np.array([1.0, 1.5]))
+        """
+        path = as_path(path)
+        _check(options)
+        listed = None
+        if sets is not None:
+            listed = [as_whole(k, "sets", least=0) for k in as_list(sets, "sets", "numbers of data sets")]
+            if not listed:
+                raise ct.ControlArgument("sets names no data set; give at least one number, or leave it out")
+        with damaged(path):
+            found = read_uff_responses(path, listed)
+        own = {"name": Path(path).stem}
+        return cls(found.pop("response"), found.pop("omega"), **(own | found | options))
 
     # python-control looks the points of a measured response up by their frequency, on the imaginary
     # axis; on the unit circle, where a sampling time would send it, it knows none of them.
@@ -381,3 +568,34 @@ class FrequencyResponse(ResponseReaders, ct.FrequencyResponseData):  # type: ign
 
 def _undotted(name: str) -> str:
     return name.replace(".", "_")
+
+
+def _check(options: Mapping[str, Any]) -> None:
+    """Check the other options before a file is opened."""
+    unknown = options.keys() - _CHECKS.keys()
+    if unknown:
+        raise TypeError(f"unrecognized keyword(s): {', '.join(map(repr, sorted(unknown)))}")
+    for name, value in options.items():
+        if value is not None:
+            _CHECKS[name](value, name)
+
+
+def _columns(names: str | Sequence[str] | None, what: str) -> list[str]:
+    """Names of columns; none where none is asked for."""
+    if names is None:
+        return []
+    found = list(as_texts(names, f"{what} (column names)"))
+    if not found or "" in found:
+        raise ct.ControlArgument(f"{what} names no column: {shown(names)}")
+    return found
+
+
+def _factor(name: str, given: str | None, written: str | None, column: str) -> float:
+    """Return what one unit of a column is in rad/s or rad."""
+    unit, known = str(given or written), _UNITS[name]
+    if unit not in known:
+        said = f"its header says {written!r}" if written else "its header says none"
+        raise DataError(
+            f"the unit of column {column!r} is not known ({said}); give {name}=, one of {', '.join(known)}"
+        )
+    return known[unit]

@@ -1,18 +1,34 @@
-"""A record, or several, and nothing else."""
+"""Records, their levels of excitation, and outputs at the end of range."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import control as ct
 import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
 
 from ..arguments import as_list, shown
 from ..exceptions import DataError
+from ..systems.linear import Array
 from .measurement import Measurement
 
-__all__ = ["amplitude", "as_record", "as_records", "at_rest"]
+__all__ = [
+    "MOST_LEVELS", "amplitude", "as_record", "as_records", "at_rest", "clipped", "coarse_noise", "cut_off",
+    "resolution", "runs", "stretches_by_level",
+]  # fmt: skip
+
+MOST_LEVELS = 3  # levels of a record that are told apart
+_BLOCKS = 24  # pieces of a record whose level is looked at
+_RATIO = 1.6  # of the levels of two stretches that count as different
+_FEWEST = 4  # blocks of a stretch
+_RUN = 4  # samples in a row that make a standstill
+_STEPS = 3.0  # of the converter by which a smooth signal may leave a peak that it shows as flat
+_CLIPPED = 0.005  # share of the samples that sit at the very same extreme
+_SAME = 1e-9  # of the range, below which two readings are one
 
 
 def as_record(data: Any) -> Measurement:
@@ -70,3 +86,143 @@ def amplitude(record: Measurement) -> float:
     """
     signals = record.outputs if at_rest([record]) else record.inputs
     return float(np.sqrt(np.mean(signals**2)))
+
+
+def stretches_by_level(data: Measurement) -> list[tuple[float, Measurement]]:
+    """Longest stretch of a record at each level of its excitation.
+
+    Parameters
+    ----------
+    data : Measurement
+        Record.
+
+    Returns
+    -------
+    list of (float, Measurement)
+        Root mean square of the inputs about their mean, and the stretch, the lowest level first; the
+        whole record where the level does not change.
+
+    Examples
+    --------
+    >>> w = np.random.default_rng(0).standard_normal(4000)
+    >>> w[2000:] *= 5
+    >>> data = rco.Measurement(w, w, dt=0.01)
+    >>> [(round(level), part.n_samples) for level, part in stretches_by_level(data)]
+    [(1, 2000), (5, 2000)]
+    """
+    n, centered = data.n_samples, data.inputs - data.inputs.mean(axis=1, keepdims=True)
+    scale = centered.std(axis=1, keepdims=True)
+    relative = np.divide(centered, scale, out=np.zeros_like(centered), where=scale > 0)
+    edges = np.linspace(0, n, min(_BLOCKS, max(1, n // 64)) + 1).round().astype(int)
+    power = np.array([np.mean(relative[:, a:b] ** 2) for a, b in pairwise(edges)])
+    whole = [(_level(data), data)]
+    if power.size < 2 * _FEWEST or not (power > 0).all():
+        return whole
+    height = 0.5 * np.log(power)
+    # the step that starts a new stretch is larger than what chance makes of one level
+    jumps = np.flatnonzero(np.abs(np.diff(height)) > np.log(_RATIO)) + 1
+    bounds = [0, *jumps.tolist(), power.size]
+    bounds = [0] + [cut for a, b in pairwise(bounds) for cut in _thirds(height, a, b)]
+    found: list[tuple[float, Measurement]] = []
+    for a, b in sorted(pairwise(bounds), key=lambda pair: pair[0] - pair[1]):
+        if b - a < _FEWEST:
+            continue
+        stop = float(data.timepts[edges[b]]) if edges[b] < n else None
+        part = data.segment(float(data.timepts[edges[a]]), stop)
+        level = _level(part)
+        if all(max(level, other) / min(level, other) > _RATIO for other, _ in found):
+            found.append((level, part))
+    return sorted(found[:MOST_LEVELS], key=lambda pair: pair[0]) if found else whole
+
+
+def _thirds(height: Array, first: int, last: int) -> list[int]:
+    """Return the ends of the parts of a stretch.
+
+    There are three parts if the level of the stretch rises or falls all the way, otherwise one.
+    """
+    blocks = last - first
+    if blocks < 3 * _FEWEST:
+        return [last]
+    line = stats.linregress(np.arange(blocks), height[first:last])
+    climbs = abs(line.slope) * blocks > 2 * np.log(_RATIO) and line.pvalue < 1e-4
+    return [first + blocks // 3, first + 2 * blocks // 3, last] if climbs else [last]
+
+
+def _level(data: Measurement) -> float:
+    """Root mean square of the inputs about their mean."""
+    return float(np.sqrt(np.mean(data.inputs.var(axis=1))))
+
+
+def resolution(y: Array) -> float:
+    """Return the smallest difference between two readings (N,).
+
+    It is the step of the converter; without a converter it is close to zero.
+    """
+    levels = np.unique(y)
+    apart = np.diff(levels)
+    apart = apart[apart > _SAME * float(np.ptp(y))]
+    return float(apart.min()) if apart.size else 0.0
+
+
+def coarse_noise(y: Array) -> float:
+    """Estimate the standard deviation of white noise on a smooth signal.
+
+    The signal has shape (N,). Outliers do not count.
+    """
+    return float(1.4826 * np.median(np.abs(np.diff(y, 2))) / np.sqrt(6.0))
+
+
+def runs(at: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First sample and end (exclusive) of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], at.astype(np.int8), [0]])))
+    return edges[::2], edges[1::2]
+
+
+def cut_off(y: Array, limit: float) -> bool:
+    """Return whether a record (N,) runs into a limit at speed and stays.
+
+    A peak shows as four equal readings of a converter only where it is so flat that the
+    readings beside them are within three steps, and a response that settles comes slowly; a
+    signal that is cut off comes and goes at whatever speed it has.
+
+    Parameters
+    ----------
+    y : ndarray, shape (N,)
+        Readings.
+    limit : float
+        Largest or smallest of them.
+
+    Returns
+    -------
+    bool
+
+    Examples
+    --------
+    >>> t = 0.05 * np.arange(2000)
+    >>> steps = np.round(np.sin(t) * 20) / 20
+    >>> cut_off(steps, 1.0), cut_off(np.minimum(steps, 0.8), 0.8)
+    (False, False)
+    >>> fine = np.round(np.sin(t) * 2000) / 2000
+    >>> cut_off(fine, fine.max()), cut_off(np.minimum(fine, 0.8), 0.8)
+    (False, True)
+    """
+    first, end = runs(y == limit)
+    whole = (end - first >= _RUN) & (first > 0) & (end < y.size)
+    before, after = np.abs(y[first[whole] - 1] - limit), np.abs(y[end[whole]] - limit)
+    slower = min(np.median(before), np.median(after)) if whole.any() else 0.0
+    return bool(slower > _STEPS * resolution(y))
+
+
+def clipped(y: Array) -> tuple[float, int] | None:
+    """Return the extreme at which an output (N,) stays, and for how long.
+
+    The time is the longest one, in samples. None if the output is not clipped.
+    """
+    if np.unique(y).size < 20:
+        return None
+    for level in (float(y.max()), float(y.min())):
+        at = y == level
+        if at.mean() >= _CLIPPED and cut_off(y, level):
+            first, end = runs(at)
+            return level, int((end - first).max())
+    return None

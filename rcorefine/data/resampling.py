@@ -5,7 +5,6 @@ The filter of the decimation keeps the relation between inputs and outputs.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import control as ct
@@ -13,13 +12,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.signal import fftconvolve
 
-from ..arguments import as_array, as_choice, as_number
+from ..arguments import as_array
 from ..exceptions import DataError
 from ..systems.linear import Array
-from .clock_times import in_seconds
-from .signals import HOLDS, step_of
+from .signals import in_seconds, step_of
 
-__all__ = ["Resampled", "Stamped", "as_stamps", "checked_grid", "decimated", "regular"]
+__all__ = ["Resampled", "Stamped", "as_stamps", "decimated", "regular"]
 
 _FINEST = 100  # samples per stamp that may be asked for
 _DOUBLED = 0.2  # of a step: stamps that are closer count as one
@@ -160,104 +158,69 @@ def as_stamps(values: Any, name: str) -> Array:
     return stamps
 
 
-def checked_grid(dt: Any, hold: Any, longest_gap: Any) -> tuple[float | None, float | None]:
-    """Check the sampling time and the longest gap, both in s.
-
-    None stands for the default. The check comes before anything is read.
-
-    Raises
-    ------
-    DataError, control.ControlArgument
-        If one is no positive number, or there is no such hold.
-    """
-    as_choice(hold, "hold", HOLDS)
-    wanted: dict[str, Any] = {"above": 0.0, "what": "a time in seconds", "error": DataError}
-    dt = None if dt is None else as_number(dt, "dt", **wanted)
-    return dt, None if longest_gap is None else as_number(longest_gap, "longest_gap", **wanted)
-
-
 def regular(
-    inputs: Sequence[Stamped],
-    outputs: Sequence[Stamped],
-    dt: float | None,
-    hold: str,
-    longest_gap: float | None,
+    inputs: Stamped, outputs: Stamped, dt: float | None, hold: str, longest_gap: float | None
 ) -> Resampled:
-    """Resample signals with separate time stamps to one regular grid.
+    """Resample inputs and outputs to one regular grid.
 
-    See `Measurement.from_timestamps`. Of several clocks of the outputs the slowest sets the sampling time,
-    and the fastest the grid before it.
+    See `Measurement.from_timestamps`.
     """
     notes: list[str] = []
     held = hold == "zoh"
-    inputs = [_in_order(one, held, notes) for one in inputs]
-    outputs = [_in_order(one, False, notes) for one in outputs]
-    for one in [*(() if held else inputs), *outputs]:  # a held input may be stamped only when it changes
+    inputs, outputs = _in_order(inputs, held, notes), _in_order(outputs, False, notes)
+    for one in (outputs,) if held else (inputs, outputs):  # a held input may be stamped only when it changes
         _check_gaps(one.times, one.name, longest_gap)
-    steps = [_step(one.times) for one in outputs]
-    step = min(steps)
-    dt = max(steps) if dt is None else dt
+    step = _step(outputs.times)
+    dt = step if dt is None else dt
     factor = 1 if dt <= 1.1 * step else int(np.ceil(dt / step * (1 - 1e-9)))
-    first = _start(inputs, outputs, dt / factor, held)
-    last = min(one.times[-1] for one in [*outputs, *(() if held else inputs)])
-    count = int(np.floor((last - first) / (dt / factor) * (1 + 1e-12))) + 1
+    fine = dt / factor
+    first = max(float(inputs.times[0]), float(outputs.times[0]))
+    last = float(outputs.times[-1]) if held else min(float(inputs.times[-1]), float(outputs.times[-1]))
+    if held:  # the grid lies where they switch, so that no switch is split between two samples
+        switches = inputs.times[1:][np.diff(inputs.rows, axis=1).any(axis=0)]
+        if switches.size:
+            turns = 2j * np.pi * (switches - first) / fine
+            share = float(np.angle(np.mean(np.exp(turns)))) / (2.0 * np.pi) % 1.0
+            first += share * fine if share <= 1.0 - 1e-6 else 0.0  # rounding is no whole step
+    count = int(np.floor((last - first) / fine * (1 + 1e-12))) + 1
     if last <= first or count < 2:
-        spans = " and ".join(f"{s.name} ({s.times[0]:g} ... {s.times[-1]:g} s)" for s in [*inputs, *outputs])
+        spans = [f"{s.name} ({s.times[0]:g} ... {s.times[-1]:g} s)" for s in (inputs, outputs)]
         raise DataError(
-            f"{spans} have no stretch of time in common that holds two samples; bring them to one zero"
+            f"{' and '.join(spans)} have no stretch of time in common that holds two samples; bring them to "
+            "one zero"
         )
-    if count > _FINEST * max(one.times.size for one in [*inputs, *outputs]):
+    if count > _FINEST * max(inputs.times.size, outputs.times.size):
         raise DataError(
             f"dt = {dt:g} s makes {count} samples of stamps {step:.6g} s apart, and nothing is known between "
             "these; give a longer dt"
         )
-    grid: Array = first + dt / factor * np.arange(count, dtype=float)
-    fine_y = np.array([_spline(one.times, row, grid) for one in outputs for row in one.rows])
-    at, through = grid, _spline
-    how = "inputs: a cubic spline"
+    grid: Array = first + fine * np.arange(count, dtype=float)
+    y = CubicSpline(outputs.times, outputs.rows, axis=1)(grid)
     if held:
-        at, through = np.append(grid, grid[-1] + dt / factor), _held_mean
-        how = "inputs: mean of the held value over each step, which keeps what they drive"
+        w = _held_mean(inputs, np.append(grid, grid[-1] + fine))
+        how = "mean of the held value over each step, which keeps what they drive"
     elif hold == "foh":
-        through = _straight
-        how = "inputs: straight lines between their stamps"
-    fine_w = np.array([through(one.times, row, at) for one in inputs for row in one.rows])
-    scatter = max(
-        np.std(np.diff(one.times) / own - np.maximum(np.round(np.diff(one.times) / own), 1.0))
-        for one, own in zip(outputs, steps, strict=True)
-    )
-    errors = ", ".join(f"{_left_out(one.times, row):.3g}" for one in outputs for row in one.rows)
-    listed = " and ".join(f"{own:.6g} s" for own in dict.fromkeys(steps))
+        w = np.array([np.interp(grid, inputs.times, row) for row in inputs.rows])
+        how = "straight lines between their stamps"
+    else:
+        w = CubicSpline(inputs.times, inputs.rows, axis=1)(grid)
+        how = "a cubic spline"
+    steps = np.diff(outputs.times) / step
+    scatter = np.std(steps - np.maximum(np.round(steps), 1.0))
+    errors = ", ".join(f"{error:.3g}" for error in _left_out(outputs))
     said = (
         f"resampled to dt = {dt:.6g} s from stamps whose steps scatter by {100 * scatter:.2g} % of "
-        f"{listed}; {how}; outputs: a cubic spline, whose rms error, noise included, is at most "
+        f"{step:.6g} s; inputs: {how}; outputs: a cubic spline, whose rms error, noise included, is at most "
         f"{errors} (found by leaving out every other sample)"
     )
     notes.insert(0, said)
     if factor == 1:
-        return Resampled(fine_w, fine_y, dt, grid, hold, tuple(notes))
+        return Resampled(w, y, dt, grid, hold, tuple(notes))
     try:
-        slow = decimated(fine_w, fine_y, dt / factor, grid, hold, factor)
+        slow = decimated(w, y, fine, grid, hold, factor)
     except DataError as reason:
         raise DataError(f"dt = {dt:g} s is too long for stamps {step:.6g} s apart: {reason}") from reason
-    return slow._replace(dt=dt, notes=(*notes, *slow.notes))
-
-
-def _start(inputs: Sequence[Stamped], outputs: Sequence[Stamped], step: float, held: bool) -> float:
-    """Return the first time of the grid.
-
-    The grid lies where held inputs switch, so that no switch is split between two samples.
-    """
-    first = max(float(one.times[0]) for one in [*inputs, *outputs])
-    if not held:
-        return first
-    switches = [one.times[1:][np.diff(one.rows, axis=1).any(axis=0)] for one in inputs]
-    turns = (np.concatenate([*switches, [first]]) - first) / step
-    found = (
-        float(np.angle(np.mean(np.exp(2j * np.pi * turns[:-1])))) / (2.0 * np.pi) if turns.size > 1 else 0.0
-    )
-    share = found % 1.0
-    return first if share > 1.0 - 1e-6 else first + share * step  # rounding is no whole step
+    return slow._replace(dt=dt, notes=(*notes, *slow.notes), elapsed=0.0)
 
 
 def _in_order(signals: Stamped, last: bool, notes: list[str]) -> Stamped:
@@ -278,16 +241,16 @@ def _in_order(signals: Stamped, last: bool, notes: list[str]) -> Stamped:
     sizes = np.diff(np.append(starts, times.size))
     if late:
         notes.append(f"{name}: {late} stamps lay before the one ahead of them and were sorted")
-    if starts.size < times.size:
-        rule = "the last value was kept" if last else "their mean was taken"
-        notes.append(
-            f"{name}: {times.size - starts.size} stamps were double (closer than {_DOUBLED:g} steps); {rule}"
-        )
-        if last:
-            return Stamped(times[starts], rows[:, np.append(starts[1:], times.size) - 1], name)
-        mean = np.add.reduceat(times, starts) / sizes, np.add.reduceat(rows, starts, axis=1) / sizes
-        return Stamped(*mean, name)
-    return Stamped(times, rows, name)
+    if starts.size == times.size:
+        return Stamped(times, rows, name)
+    rule = "the last value was kept" if last else "their mean was taken"
+    notes.append(
+        f"{name}: {times.size - starts.size} stamps were double (closer than {_DOUBLED:g} steps); {rule}"
+    )
+    if last:
+        return Stamped(times[starts], rows[:, np.append(starts[1:], times.size) - 1], name)
+    mean = np.add.reduceat(times, starts) / sizes, np.add.reduceat(rows, starts, axis=1) / sizes
+    return Stamped(*mean, name)
 
 
 def _check_clock(signals: Stamped) -> None:
@@ -341,29 +304,23 @@ def _check_gaps(times: Array, name: str, longest: float | None) -> None:
         )
 
 
-def _spline(times: Array, values: Array, at: Array) -> Array:
-    found: Array = CubicSpline(times, values)(at)
-    return found
+def _held_mean(signals: Stamped, at: Array) -> Array:
+    """Return the means of held values over each step between `at`.
 
-
-def _straight(times: Array, values: Array, at: Array) -> Array:
-    return np.interp(at, times, values)
-
-
-def _held_mean(times: Array, values: Array, at: Array) -> Array:
-    """Return the mean of a held value over each step between `at`.
-
-    The value is held until the next stamp.
+    A value is held until the next stamp.
     """
+    times = signals.times
     ends = np.append(times, max(times[-1], at[-1]) + 1.0)
-    area = np.concatenate([[0.0], np.cumsum(values * np.diff(ends))])
-    found: Array = np.diff(np.interp(at, ends, area)) / np.diff(at)
-    return found
+    area = np.insert(np.cumsum(signals.rows * np.diff(ends), axis=1), 0, 0.0, axis=1)
+    means: Array = np.diff([np.interp(at, ends, row) for row in area]) / np.diff(at)
+    return means
 
 
-def _left_out(times: Array, values: Array) -> float:
-    """Rms error at every other sample of the spline through the rest."""
-    inside = slice(1, None if times.size % 2 else -1, 2)  # between samples that are kept
+def _left_out(signals: Stamped) -> Array:
+    """Rms errors at every other sample of the spline through the rest."""
+    times, rows, _ = signals
     if times.size < 8:
-        return float(np.std(values))
-    return float(np.sqrt(np.mean((_spline(times[::2], values[::2], times[inside]) - values[inside]) ** 2)))
+        return np.asarray(rows.std(axis=1))
+    inside = slice(1, None if times.size % 2 else -1, 2)  # between samples that are kept
+    spline = CubicSpline(times[::2], rows[:, ::2], axis=1)
+    return np.asarray(np.sqrt(np.mean((spline(times[inside]) - rows[:, inside]) ** 2, axis=1)))

@@ -1,11 +1,13 @@
-"""Checks of arrays, labels and times.
+"""Checks of arrays, labels and times; clock times in seconds.
 
 Every error message names the problem, its position and the remedy.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from typing import Any
 
 import control as ct
@@ -15,13 +17,20 @@ from ..arguments import as_array, as_number
 from ..exceptions import DataError
 from ..systems.linear import Array
 from . import HOLDS
-from .clock_times import in_seconds
 
-__all__ = ["HOLDS", "as_signals", "as_time_grid", "check_finite", "check_sizes", "default_labels", "step_of"]
+__all__ = [
+    "HOLDS", "LARGEST", "SMALLEST", "as_signals", "as_time_grid", "check_finite", "check_sizes",
+    "default_labels", "in_seconds", "is_clock_time", "is_irregular", "seconds_of", "step_of",
+]  # fmt: skip
 
 # A time axis may leave its regular grid by this share of a sample: the rounding of a text file passes,
 # a lost, doubled or shifted sample does not.
 GRID_TOLERANCE = 0.02
+_STAMP = re.compile(
+    r"(?:(?P<date>\d{4}-\d\d-\d\d)[T ])?(?P<hours>[0-2]?\d:[0-5]\d:[0-5]\d)(?:[.,](?P<part>\d+))?"
+    r"(?P<zone>Z|[+-]\d\d:?\d\d)?"
+)
+_DAY = 86400.0
 
 
 def as_signals(values: Any, what: str) -> Array:
@@ -211,3 +220,107 @@ def _as_times(timepts: Any, n_samples: int) -> Array:
         k = int(np.argmin(np.isfinite(times)))
         raise DataError(f"timepts is not finite at sample {k}; give the time of every sample, or dt")
     return times
+
+
+def in_seconds(values: Any) -> Any:
+    """Convert dates, times of day and durations to seconds.
+
+    Dates count from the earliest one. Other values are returned as they are.
+
+    Parameters
+    ----------
+    values : array_like
+        Times as numpy, pandas or `datetime` hold them, or as text.
+
+    Returns
+    -------
+    ndarray, shape (N,), or `values`
+        NaN where a date is missing.
+
+    Examples
+    --------
+    >>> in_seconds(np.array(["2024-03-31T10:00:01", "2024-03-31T10:00"], "datetime64[ms]"))
+    array([1., 0.])
+    """
+    try:
+        times = np.asarray(values)
+    except ValueError:  # ragged: who asked for times says so
+        return values
+    if times.ndim != 1 or not times.size:
+        return values
+    if times.dtype.kind == "M":
+        times = times - np.fmin.reduce(times)  # the earliest that is none of NaT
+    if times.dtype.kind == "m":
+        return times / np.timedelta64(1, "s")
+    cells = times.tolist()
+    if all(isinstance(cell, datetime) and cell == cell for cell in cells):  # NaT is none, not even itself
+        if len({cell.tzinfo is None for cell in cells}) == 1:
+            if cells[0].tzinfo is not None:  # where summer begins, local times differ by an hour more
+                cells = [cell.astimezone(UTC) for cell in cells]
+            first = min(cells)
+            return np.array([(cell - first).total_seconds() for cell in cells])
+    elif all(isinstance(cell, str) for cell in cells) and is_clock_time(cells[0]):
+        return seconds_of(cells, [f"time {k}" for k in range(len(cells))])[0]
+    return values
+
+
+def is_clock_time(cell: str) -> bool:
+    """Return whether a text is a time of day, or a date and time in ISO form.
+
+    Examples
+    --------
+    >>> [is_clock_time(cell) for cell in ("10:15:30,5", "2024-03-31 13:59:59Z", "2024-03-31", "1.5")]
+    [True, True, False, False]
+    """
+    return _STAMP.fullmatch(cell) is not None
+
+
+def seconds_of(cells: Sequence[str], places: Sequence[str]) -> tuple[Array, str]:
+    """Convert times of day or ISO dates to seconds from the first.
+
+    Times of day may pass midnight.
+
+    Parameters
+    ----------
+    cells : sequence of str
+        Times, all of one form.
+    places : sequence of str
+        Where each of them stands, for messages.
+
+    Returns
+    -------
+    seconds : ndarray, shape (N,)
+    note : str
+        How they were read.
+
+    Raises
+    ------
+    DataError
+        If one is no time like the first one.
+
+    Examples
+    --------
+    >>> seconds_of(["23:59:59.5", "00:00:00.25"], ["", ""])
+    (array([0.  , 0.75]), 'a clock, counted from 23:59:59.5')
+    """
+    whole: list[int] = []
+    part: list[float] = []
+    form: tuple[bool, bool] | None = None
+    for cell, place in zip(cells, places, strict=True):
+        match = _STAMP.fullmatch(cell)
+        own = None if match is None else (match["date"] is None, match["zone"] is None)
+        form = form or own
+        if match is None or own != form:
+            raise DataError(f"{place} is no time like the first one, {cells[0]!r}: {cell!r}")
+        try:
+            moment = np.datetime64(f"{match['date'] or '1970-01-01'}T{match['hours']:0>8}", "s")
+        except ValueError as error:
+            raise DataError(f"{place} is no time that exists: {cell!r}") from error
+        zone = (match["zone"] or "Z").replace("Z", "+0000").replace(":", "")
+        whole.append(moment.astype(int) - int(zone[0] + "1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:])))
+        part.append(float(f"0.{match['part'] or 0}"))
+    # whole seconds and their parts apart: what is subtracted keeps all digits
+    clock, rest = np.array(whole, dtype=float) - whole[0], np.array(part) - part[0]
+    if form is not None and form[0]:
+        clock += _DAY * np.cumsum(np.diff(clock, prepend=0.0) < -_DAY / 2)
+    return clock + rest, f"a clock, counted from {cells[0]}"

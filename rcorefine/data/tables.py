@@ -1,6 +1,6 @@
-"""Columns of numbers from text files of labs.
+"""Columns of numbers from text tables, with their units.
 
-NumPy's reader parses the numbers.
+Header, separator, decimal mark and units are found from the text; NumPy parses the numbers.
 """
 
 from __future__ import annotations
@@ -8,10 +8,10 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from itertools import islice
 from operator import methodcaller
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
@@ -19,66 +19,109 @@ import numpy as np
 from ..arguments import as_choice, as_text, as_texts, shown
 from ..exceptions import DataError
 from ..systems.linear import Array
-from .clock_times import is_clock_time, seconds_of
-from .columns import Columns
-from .layout import Layout, find_layout, rows_of
+from .formats import Columns
+from .signals import is_clock_time, seconds_of
 
-__all__ = ["read_csv", "unwrapped"]
+__all__ = ["is_unit", "read_csv", "seconds_per", "split_unit"]
 
-_CLOCK = re.compile(r"\s*\d\d:\d\d:\d\d[.,]\d+ -> ?")
-_LABEL = re.compile(r"([^\s,;:]+)\s*:\s*(?=[-+.\d])")
-_HEAD = 100  # lines in which the form of a log shows
+_PREFIXED = (
+    "m", "s", "g", "N", "V", "A", "W", "J", "Pa", "K", "C", "Hz", "rad", "F", "H", "T", "Wb", "l", "L", "bar",
+    "Ohm", "ohm", "Ω", "Nm", "VA", "Wh", "eV", "mol", "lx", "cd", "S", "gn",
+)  # fmt: skip
+_ALONE = (
+    "°", "%", "‰", "°C", "°F", "degC", "degF", "deg", "rpm", "rps", "min", "h", "d", "psi", "in", "inch",
+    "ft", "lb", "lbf", "kgf", "mph", "kph", "kn", "rev", "cnt", "cnts", "count", "counts", "ticks", "steps",
+    "px", "dB", "sec", "secs", "seconds", "hr", "grad", "ppm", "Volt", "Volts", "volts", "Amp", "Amps",
+    "Newton",
+)  # fmt: skip
+_KNOWN = frozenset(_ALONE) | {
+    prefix + base for base in _PREFIXED for prefix in ("", *"kMGmuµμnpcd", "da", "h")
+}
+_SECONDS = {
+    "s": 1.0, "sec": 1.0, "secs": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6,
+    "ns": 1e-9, "min": 60.0, "h": 3600.0, "hr": 3600.0,
+}  # fmt: skip
+_BRACKETS = re.compile(r"(.*\S)\s*[\[(]([^\[\]()]+)[\])]|(.*\S) / (\S+)")
 
 
-def unwrapped(lines: list[str], names: Sequence[str], path: object) -> tuple[list[str], tuple[str, ...]]:
-    """Convert the lines of a serial log to those of a plain table.
+def is_unit(text: str) -> bool:
+    """Return whether a text consists of unit symbols.
 
-    The notes list what was removed.
+    Brackets around the text are allowed.
 
-    Parameters
-    ----------
-    lines : list of str
-        The file.
-    names : sequence of str
-        Columns asked for.
-    path : str or path
-        For messages.
+    Examples
+    --------
+    >>> [is_unit(text) for text in ("m/s^2", "[N m]", "°C", "-", "off", "n/a", "1")]
+    [True, True, True, True, False, False, False]
+    """
+    text = re.sub("[²³⁻·]", " ", _bare(text))
+    symbols = re.findall(r"°?[^\W\d_]+|[°%‰]", text)
+    rest = re.sub(r"°?[^\W\d_]+|[°%‰]", "", text)
+    if not symbols:
+        return text == "-"
+    return all(symbol in _KNOWN for symbol in symbols) and not re.search(r"[^\s/*.^\d()-]", rest)
 
-    Returns
-    -------
-    lines : list of str
-        As many; the first that is labeled in full becomes the header's line before it.
-    notes : tuple of str
+
+def _bare(text: str) -> str:
+    text = text.strip()
+    return text[1:-1].strip() if text[:1] + text[-1:] in ("[]", "()", "<>", "{}") else text
+
+
+def split_unit(cell: str) -> tuple[str, str]:
+    """Split a header cell into name and unit.
+
+    The unit is empty if there is none.
+
+    Examples
+    --------
+    >>> split_unit("F [N]"), split_unit("speed / rpm"), split_unit("q(1)")
+    (('F', 'N'), ('speed', 'rpm'), ('q(1)', ''))
+    """
+    found = _BRACKETS.fullmatch(cell)
+    if found:
+        name, unit = (found[1], found[2]) if found[1] is not None else (found[3], found[4])
+        if is_unit(unit):
+            return name, _bare(unit)
+    return (cell, "") if not is_unit(cell) or cell[:1] not in "[(<{" else ("", _bare(cell))
+
+
+def seconds_per(unit: str, column: str) -> float:
+    """Seconds in a unit of time.
 
     Raises
     ------
     DataError
-        If labels change from line to line.
-
-    Examples
-    --------
-    >>> unwrapped(["12:00:01.250 -> u:1 y:2", "12:00:01.260 -> u:3 y:4"], ["u", "y"], "a.log")[0]
-    ['u y', '1 2', '3 4']
+        If it is no unit of time that is known.
     """
-    notes: tuple[str, ...] = ()
-    some = [line for line in lines[:_HEAD] if line.strip()]
-    if some and 2 * sum(bool(_CLOCK.match(line)) for line in some) > len(some):
-        lines = [_CLOCK.sub("", line, count=1) for line in lines]
-        notes = ("the serial monitor's clock before '->' was not read",)
-    head = enumerate(lines[:_HEAD])
-    start = next((k for k, line in head if ":" in line and set(names) <= set(_LABEL.findall(line))), None)
-    if start is None:
-        return lines, notes
-    labels = _LABEL.findall(lines[start])
-    separator = re.search(r"[,;\t]", lines[start])
-    joined = (separator[0] if separator else " ").join(labels)
-    body = []
-    for number, line in enumerate(lines[start:], start=start + 1):
-        if line.strip() and _LABEL.findall(line) != labels:
-            raise DataError(f"{path}, line {number} is not labeled {', '.join(labels)} like those before it")
-        body.append(_LABEL.sub("", line))
-    # the header takes the place of what stood before the first full line, so that lines keep their numbers
-    return [*[""] * (start - 1), joined, *body], (*notes, "every value had its label before it")
+    if unit not in _SECONDS:
+        raise DataError(
+            f"column {column!r} of times is in {unit!r}, not in one of {', '.join(_SECONDS)}; give dt in s "
+            "instead of time="
+        )
+    return _SECONDS[unit]
+
+
+_DELIMITERS = ",;\t| "
+_WORDS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "blanks", ".": "point"}
+_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
+_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d*([eE][+-]?\d+)?")
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
+_LOOK = 1000  # lines whose decimal marks are looked at
+
+
+class _Layout(NamedTuple):
+    """Position of the numbers in a text table.
+
+    Columns and units are given by name.
+    """
+
+    places: dict[str, int]
+    width: int
+    units: dict[str, str]
+    first: int
+    delimiter: str
+    decimal: str
+    text: str
 
 
 def read_csv(
@@ -104,17 +147,15 @@ def read_csv(
     -------
     Columns
         One array of shape (N,) per name, its units, and what was taken for what; times of a clock
-        or calendar are in seconds from the first.
+        are in seconds from the first.
 
     Raises
     ------
     DataError
         As in `Measurement.from_csv`.
     """
-    if delimiter is not None and len(as_text(delimiter, "delimiter")) != 1:
-        raise ct.ControlArgument(f"delimiter must be one character, not {shown(delimiter)}")
-    if delimiter is not None and delimiter in '"\r\n':
-        raise ct.ControlArgument(f"delimiter must be one character such as ';', not {delimiter!r}")
+    if delimiter is not None and (len(as_text(delimiter, "delimiter")) != 1 or delimiter in '"\r\n'):
+        raise ct.ControlArgument(f"delimiter must be one character such as ';', not {shown(delimiter)}")
     if decimal is not None:
         as_choice(decimal, "decimal", (".", ","))
     if header is not None:
@@ -122,27 +163,29 @@ def read_csv(
     text, notes = _text(path)
     lines = text.splitlines()
     del text  # the lines weigh three times as much
-    lines, more = unwrapped(lines, names, path)
-    layout = find_layout(lines, names, str(path), delimiter, decimal, header)
+    layout = _find_layout(lines, names, str(path), delimiter, decimal, header)
     body = lines[layout.first :]
     while body and not body[-1].strip(f'" {layout.delimiter}'):
         body.pop()
     if not body:
         raise DataError(f"{path} has a header but no data lines")
-    here = f"{path}, line"
-    first = layout.cells_of(body[0])
-    clocks = {name: layout.places[name] for name, cell in first.items() if is_clock_time(cell)}
-    read = {}
-    for name, place in clocks.items():
-        read[name], how = _by_clock(body, layout, here, name, place)
-        more = (*more, f"{name!r} holds times of {how}")
-    layout = replace(layout, places={k: v for k, v in layout.places.items() if k not in clocks})
+    here, read = f"{path}, line", {}
+    places = layout.places
+    asked = dict(zip(places, _asked(body[0], places, layout.delimiter), strict=True))
+    for name in [name for name, cell in asked.items() if is_clock_time(cell)]:
+        rows = list(_rows_of(body, layout.delimiter, here, layout.first))
+        cells = [row[places[name]].strip() if places[name] < len(row) else "" for _, row in rows]
+        read[name], how = seconds_of(
+            cells, [f"{here} {line}, column {name!r} ({places[name] + 1})" for line, _ in rows]
+        )
+        notes = (*notes, f"{name!r} holds times of {how}")
+    layout = layout._replace(places={name: place for name, place in places.items() if name not in read})
     if layout.places:
         table = _by_numpy(body, layout)
         if table is None:
             table = np.array(list(_by_line(body, layout, here))).T.copy()
         read |= dict(zip(layout.places, table, strict=True))
-    said = f"{Path(path).name}: " + "; ".join((layout.text, *notes, *more))
+    said = f"{Path(path).name}: " + "; ".join((layout.text, *notes))
     return Columns({name: read[name] for name in names}, layout.units, (said,))
 
 
@@ -162,7 +205,193 @@ def _text(path: Any) -> tuple[str, tuple[str, ...]]:
             raise DataError(f"{path} is not a text file in UTF-8 or Latin-1: {error}") from error
 
 
-def _by_numpy(body: list[str], layout: Layout) -> Array | None:
+def _cells(line: str, delimiter: str) -> list[str]:
+    """Cells of one line, without the blanks around them."""
+    try:
+        row = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
+    except csv.Error:
+        return []
+    return [cell.strip() for cell in row]
+
+
+def _asked(line: str, places: dict[str, int], split_at: str) -> list[str]:
+    row = _cells(line, split_at)
+    return [row[place] if place < len(row) else "" for place in places.values()]
+
+
+def _is_value(cell: str) -> bool:
+    return _NUMBER.fullmatch(cell) is not None or is_clock_time(cell)
+
+
+def _rows_of(lines: list[str], delimiter: str, here: str, start: int) -> Iterator[tuple[int, list[str]]]:
+    """Yield the line number in the file and the cells of each line.
+
+    A quote that is left open is refused, because it would swallow lines.
+    """
+    reader = csv.reader([*lines, ""], delimiter=delimiter, skipinitialspace=True)
+    try:
+        for number, row in enumerate(reader, start=1):
+            if reader.line_num != number:
+                raise DataError(
+                    f"{here} {start + number}: a quote opens a cell that does not close in this line; "
+                    "close it or remove it"
+                )
+            if number <= len(lines):
+                yield start + number, row
+    except csv.Error as error:
+        raise DataError(f"{here} {start + reader.line_num} cannot be read: {error}") from error
+
+
+def _find_layout(
+    lines: list[str],
+    names: Sequence[str],
+    here: str,
+    delimiter: str | None,
+    decimal: str | None,
+    header: Sequence[str] | None,
+) -> _Layout:
+    """Find the layout of a text table that has the requested columns.
+
+    Raises
+    ------
+    DataError
+        No header, no such column, or more than one way to read the file.
+    """
+    if header is None:
+        start, split_at = _header_line(lines, names, here, delimiter)
+        _, row = next(_rows_of([lines[start].lstrip("#% ")], split_at, f"{here}, line", start))
+        cells = [cell.strip() for cell in row]
+        places = _places(names, cells, f"{here}, line {start + 1}")
+        where, first = f"header in line {start + 1}", start + 1
+    else:
+        cells = list(header)
+        places = _places(names, cells, f"header= for {here}")
+        first, split_at = _first_numbers(lines, cells, places, here, delimiter)
+        where = f"names by header=, {first} lines skipped" if first else "names by header="
+    units = {name: unit for name, place in places.items() if (unit := split_unit(cells[place])[1])}
+    below, units_line = _below(lines, first, places, split_at)
+    if units_line is not None:
+        for name, cell in zip(places, _asked(lines[units_line], places, split_at), strict=True):
+            if cell not in ("", "-"):
+                units[name] = split_unit(cell if cell[:1] in "[(<{" else f"[{cell}]")[1]
+    first = len(lines) if below is None else below
+    mark = decimal or _decimal(lines[first:], places, split_at, here)
+    said = "no line of units" if units_line is None else f"units in line {units_line + 1}"
+    text = (
+        f"{where}, {said}, cells separated by {_WORDS.get(split_at, repr(split_at))}, decimal {_WORDS[mark]}"
+    )
+    return _Layout(places, len(cells), units, first, split_at, mark, text)
+
+
+def _header_line(lines: list[str], names: Sequence[str], here: str, delimiter: str | None) -> tuple[int, str]:
+    """Find the header line with all names, and its separator.
+
+    Numbers must follow it. If no line qualifies, the likeliest one is taken.
+    """
+    likeliest = (0, 0, 0, "")
+    for index, line in enumerate(lines):
+        if not line.strip() or (index >= 200 and not all(name in line for name in names)):
+            continue
+        found = {}
+        for split_at in delimiter or _DELIMITERS:
+            cells = _cells(line.lstrip("#% "), split_at)
+            bare = [split_unit(cell)[0] for cell in cells]
+            places = {
+                name: (cells if name in cells else bare).index(name) for name in names if name in cells + bare
+            }
+            whole = len(places) == len(names)
+            comment = line.lstrip().startswith(("#", "%")) and not whole
+            likeliest = max(likeliest, (0 if comment else len(places) + 1, -index, len(cells), split_at))
+            first = _below(lines, index + 1, places, split_at)[0] if whole else None
+            if first is not None and all(map(_is_value, _asked(lines[first], places, split_at))):
+                found[split_at] = len(cells)
+        if len(set(found.values())) > 1:
+            marks = " and ".join(_WORDS.get(mark, repr(mark)) for mark in found)
+            raise DataError(
+                f"{here}, line {index + 1} can be cut at {marks} alike, with other numbers; give delimiter="
+            )
+        if found:
+            return index, next(iter(found))
+    if likeliest[0] == 0:
+        raise DataError(
+            f"{here} holds no header line with the names of the columns; if it has none, name them all "
+            "with header="
+        )
+    return -likeliest[1], likeliest[3]
+
+
+def _below(
+    lines: list[str], start: int, places: dict[str, int], split_at: str
+) -> tuple[int | None, int | None]:
+    """Return the first line of a table, and the line of units before it.
+
+    Either is None if there is no such line from `start` on.
+    """
+    filled = [k for k in range(start, min(start + 12, len(lines))) if lines[k].strip()]
+    if filled:
+        cells = _asked(lines[filled[0]], places, split_at)
+        if any(cell not in ("", "-") for cell in cells) and all(not cell or is_unit(cell) for cell in cells):
+            return (filled[1] if filled[1:] else None), filled[0]
+    return (filled[0] if filled else None), None
+
+
+def _first_numbers(
+    lines: list[str], cells: list[str], places: dict[str, int], here: str, delimiter: str | None
+) -> tuple[int, str]:
+    """Find the first line of numbers, and its separator.
+
+    It has as many cells as there are names, and numbers in the requested columns.
+    """
+    for index, line in enumerate(lines):
+        for split_at in delimiter or _DELIMITERS:
+            row = _cells(line, split_at)
+            if len(row) == len(cells) and all(_is_value(row[place]) for place in places.values()):
+                return index, split_at
+    raise DataError(f"{here} has no line of {len(cells)} cells, as header= names, with numbers in them")
+
+
+def _places(names: Sequence[str], cells: list[str], where: str) -> dict[str, int]:
+    """Column of each name: as it stands there, or without its unit."""
+    bare = [split_unit(cell)[0] for cell in cells]
+    places = {}
+    for name in names:
+        if cells.count(name) > 1:
+            raise DataError(f"{where}: column {name!r} stands there twice; rename one")
+        found = [k for k, cell in enumerate(cells if name in cells else bare) if cell == name]
+        if len(found) > 1:
+            listed = " or ".join(repr(cells[k]) for k in found)
+            raise DataError(f"{where}: column {name!r} could be {listed}; name one of them in full")
+        if not found:
+            listed = ", ".join(repr(cell) for cell in cells if cell)
+            raise DataError(f"{where}: no column {name!r}; there are {listed or 'none'}")
+        places[name] = found[0]
+    return places
+
+
+def _decimal(lines: list[str], places: dict[str, int], split_at: str, here: str) -> str:
+    """Decimal mark of the columns asked for."""
+    sign = '"' if split_at == "," else ","  # between commas, only a quoted number may hold one
+    some = list(islice((line for line in lines if sign in line), _LOOK))  # the first may stand far below
+    cells = [cell for line in some for cell in _asked(line, places, split_at)]
+    commas = [cell for cell in cells if _DECIMAL_COMMA.fullmatch(cell) or _THOUSANDS.fullmatch(cell)]
+    if not commas:
+        return "."
+    pointed = next((cell for cell in cells if "." in cell and _NUMBER.fullmatch(cell)), None)
+    if pointed is not None:
+        raise DataError(
+            f"{here} holds {commas[0]!r} and {pointed!r}: comma and point cannot both be the decimal mark; "
+            "give decimal=',' or decimal='.', and write no separators of thousands"
+        )
+    others = [cell for cell in cells if cell and not _THOUSANDS.fullmatch(cell)]
+    if not any("," in cell or len(cell.lstrip("+-")) > 3 for cell in others):
+        raise DataError(
+            f"{here} holds {commas[0]!r}, which may have a decimal comma or a separator of thousands, and "
+            "nothing in the file tells which; give decimal=',' or write the numbers without separators"
+        )
+    return ","
+
+
+def _by_numpy(body: list[str], layout: _Layout) -> Array | None:
     """Read the requested columns with NumPy.
 
     None if a line is not plain. The other parser then reads it, or names the wrong line.
@@ -194,21 +423,12 @@ def _by_numpy(body: list[str], layout: Layout) -> Array | None:
     return np.ascontiguousarray(table.T) if whole else None
 
 
-def _by_clock(body: list[str], layout: Layout, here: str, name: str, place: int) -> tuple[Array, str]:
-    """Seconds of a column of times of a clock, and how they were read."""
-    cells, places = [], []
-    for line, row in rows_of(body, layout.delimiter, here, layout.first):
-        cells.append(row[place].strip() if place < len(row) else "")
-        places.append(f"{here} {line}, column {name!r} ({place + 1})")
-    return seconds_of(cells, places)
-
-
-def _by_line(body: list[str], layout: Layout, here: str) -> Iterator[list[float]]:
+def _by_line(body: list[str], layout: _Layout, here: str) -> Iterator[list[float]]:
     """Yield the numbers of the requested columns, line by line.
 
     An error describes the first line that is wrong.
     """
-    for line, row in rows_of(body, layout.delimiter, here, layout.first):
+    for line, row in _rows_of(body, layout.delimiter, here, layout.first):
         if not any(cell.strip() for cell in row):
             raise DataError(f"{here} {line} is empty in the midst of the data; remove it or fill the gap")
         if any(cell.strip() for cell in row[layout.width :]):
@@ -217,12 +437,9 @@ def _by_line(body: list[str], layout: Layout, here: str) -> Iterator[list[float]
                 f"{here} {line} has {len(row)} cells and the header {layout.width}{hint}; remove a "
                 "delimiter, or name every column"
             )
+        row += [""] * layout.width
         yield [
-            _number(
-                row[index].strip() if index < len(row) else "",
-                f"{here} {line}, column {name!r} ({index + 1})",
-                layout.decimal,
-            )
+            _number(row[index].strip(), f"{here} {line}, column {name!r} ({index + 1})", layout.decimal)
             for name, index in layout.places.items()
         ]
 
@@ -231,12 +448,11 @@ def _number(cell: str, place: str, decimal: str) -> float:
     if cell == "":
         raise DataError(f"{place} is missing; fill the gap or cut the file before it")
     other = "." if decimal == "," else ","
-    try:
-        if "_" in cell or other in cell:  # Python would take the first as a separator of digits
-            raise ValueError
+    if _NUMBER.fullmatch(cell) and other not in cell:
         return float(cell.replace(decimal, "."))
-    except ValueError:
-        hint = ""
-        if other in cell:
-            hint = f" (the decimal mark of this file is {decimal!r}; another one is given by decimal=)"
-        raise DataError(f"{place} is not a number: {cell!r}{hint}") from None
+    hint = ""
+    if ":" in cell:
+        hint = " (times that are not of the form 2024-03-31 10:15:30.25 are read by pandas and from_frame)"
+    elif other in cell:
+        hint = f" (the decimal mark of this file is {decimal!r}; another one is given by decimal=)"
+    raise DataError(f"{place} is not a number: {cell!r}{hint}")

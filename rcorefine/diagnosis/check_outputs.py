@@ -14,7 +14,7 @@ from scipy.signal import correlate
 
 from ..comparison.result import Comparison
 from ..data.measurement import Measurement
-from ..data.range_ends import clipped, coarse_noise, resolution
+from ..data.records import clipped, coarse_noise, resolution
 from ..inference.autoregression import autoregression
 from ..inference.basis import project, rank_basis
 from ..models.operating_point import OperatingPoint

@@ -14,7 +14,7 @@ from scipy import stats
 
 from ..comparison.result import Comparison
 from ..data.measurement import Measurement
-from ..data.range_ends import clipped, coarse_noise, resolution, runs
+from ..data.records import clipped, coarse_noise, resolution, runs
 from ..effects.effect import Effect
 from ..inference.whitening import Whitener
 from ..models.operating_point import Controller, answer, unrecorded

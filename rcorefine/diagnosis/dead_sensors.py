@@ -15,7 +15,7 @@ from scipy.signal import correlate
 from ..arguments import as_noise
 from ..data.channels import match_channels, record_for, with_outputs
 from ..data.measurement import Measurement
-from ..data.range_ends import runs
+from ..data.records import runs
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..engine.simulation import simulate

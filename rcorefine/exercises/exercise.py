@@ -19,7 +19,7 @@ import numpy as np
 
 from ..archives import read_archive
 from ..arguments import as_choice, as_flag, as_number, as_path, as_text, as_whole
-from ..data.apart import damaged
+from ..data.formats import damaged
 from ..data.measurement import Measurement
 from ..effects.domains import kind_named
 from ..effects.effect import Effect
@@ -28,8 +28,7 @@ from ..models.physical_model import PhysicalModel
 from ..results import Result, Row
 from ..writing import replacing
 from .hiding import LEVELS, TRAINING, Accepted, hide
-from .plants import PLANTS
-from .record import record_of
+from .plants import PLANTS, record_of
 
 __all__ = ["Exercise", "Mark", "hidden_effect", "is_sealed", "load_exercise", "sealed"]
 

@@ -18,8 +18,7 @@ from ..engine.simulation import simulate
 from ..exceptions import DivergenceError, ModelError, unheard
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
-from .plants import Plant
-from .record import hidden_outputs, noisy, record_of
+from .plants import Plant, hidden_outputs, noisy, record_of
 
 __all__ = ["LEVELS", "TRAINING", "Accepted", "Hidden", "hide"]
 

@@ -7,19 +7,19 @@ import inspect
 import math
 import textwrap
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..exceptions import ModelError
 
 __all__ = ["LANGUAGES", "Language", "translated"]
 
 _SAME = frozenset("tanh exp sqrt sin cos tan sinh cosh asin acos atan atan2 log log10 floor".split())
-_POWER = {"C": "pow({0}, {1})", "Python": "{0} ** {1}"}
+_BUILT_IN = frozenset(("abs", "max", "min", "float"))
+_SIGNS: dict[type[ast.operator], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}
+_COMPARED: dict[type[ast.cmpop], str] = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "=="}
 
 
-@dataclass(frozen=True, slots=True)
-class Language:
+class Language(NamedTuple):
     """Syntax of the formulas in one language.
 
     Parts to be filled in are marked as `{...}`.
@@ -27,6 +27,8 @@ class Language:
 
     name: str
     head: str
+    argument: str
+    between: str
     declare: str
     end: str
     assign: str
@@ -39,32 +41,35 @@ class Language:
     both: str
     either: str
     no: str
+    power: str
     functions: dict[str, str]
-    reserved: frozenset[str] = frozenset()
+    reserved: frozenset[str]
 
 
 _C = Language(
-    "C", "static double {name}({arguments})\n{{", "    double {names};", "}}", "{name} = {value};",
-    "return {value};",
-    "if ({test}) {{", "}} else {{", "}}", "({test} ? {yes} : {no})", "!=", "&&", "||", "!",
-    {"abs": "fabs", "fabs": "fabs", "max": "fmax", "min": "fmin", "copysign": "copysign", "expm1": "expm1",
-     "log1p": "log1p", "hypot": "hypot"},
+    "C", "static double {name}({arguments})\n{{", "double {}", ", ", "    double {names};", "}}",
+    "{name} = {value};", "return {value};",
+    "if ({test}) {{", "}} else {{", "}}", "({test} ? {yes} : {no})", "!=", "&&", "||", "!", "pow({0}, {1})",
+    {"abs": "fabs", "max": "fmax", "min": "fmin", **{name: name for name in (
+        "fabs", "copysign", "expm1", "log1p", "hypot", "pow")}},
     frozenset("auto break case char const continue default do double else float for goto if int long return "
               "short signed sizeof static struct switch typedef union unsigned void while".split()),
 )  # fmt: skip
 _MATLAB = Language(
-    "MATLAB", "function result = {name}({arguments})", "", "end", "{name} = {value};",
+    "MATLAB", "function result = {name}({arguments})", "{}", ", ", "", "end", "{name} = {value};",
     "result = {value}; return;", "if {test}", "else", "end", "pick({test}, {yes}, {no})", "~=", "&&",
-    "||", "~",
+    "||", "~", "({0})^({1})",
     {"abs": "abs", "fabs": "abs", "max": "max", "min": "min", "expm1": "expm1", "log1p": "log1p",
-     "hypot": "hypot", "copysign": "flip"},
+     "hypot": "hypot", "copysign": "flip", "pow": "({0})^({1})"},
     frozenset("end function if else elseif for while switch case otherwise result pick flip".split()),
 )  # fmt: skip
 _MODELICA = Language(
-    "Modelica", "function {name}\n{arguments}\n    output Real result;", "  protected\n    Real {names};",
-    "end {name};", "{name} := {value};", "result := {value}; return;",
+    "Modelica", "function {name}\n{arguments}\n    output Real result;", "    input Real {};", "\n",
+    "  protected\n    Real {names};", "end {name};", "{name} := {value};", "result := {value}; return;",
     "if {test} then", "else", "end if;", "(if {test} then {yes} else {no})", "<>", "and", "or", "not",
-    {"abs": "abs", "fabs": "abs", "max": "max", "min": "min"},
+    "({0})^({1})",
+    {"abs": "abs", "fabs": "abs", "max": "max", "min": "min", "pow": "({0})^({1})",
+     "copysign": "(if {1} < 0.0 then -abs({0}) else abs({0}))", "hypot": "sqrt(({0})^2 + ({1})^2)"},
     frozenset("and or not if then else end loop for while when der model function input output equation "
               "algorithm time result initial flow final within".split()),
 )  # fmt: skip
@@ -120,9 +125,11 @@ def translated(function: Callable[..., Any], name: str, language: str, label: st
 
 
 class _Writer:
+    """Translation of one formula; `language` is None for Python."""
+
     def __init__(self, language: str, label: str, names: dict[str, Any], pair: bool) -> None:
         self.name, self.label, self.names, self.pair = language, label, names, pair
-        self.language = LANGUAGES.get(language)
+        self.language = LANGUAGES.get(language, _C)
         self.local: set[str] = set()
 
     def refuse(self, what: ast.AST | str) -> ModelError:
@@ -136,33 +143,28 @@ class _Writer:
             for item in node.body
             if not (isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant))
         ]
-        inner = ast.walk(ast.Module(body, []))
-        stored = {item.id for item in inner if isinstance(item, ast.Name) and isinstance(item.ctx, ast.Store)}
+        used = [item for part in body for item in ast.walk(part) if isinstance(item, ast.Name)]
+        stored = {item.id for item in used if isinstance(item.ctx, ast.Store)}
         self.local = stored | set(arguments)
-        language = self.language
-        if language is None:
+        if self.name == "Python":
             lines = [f"def {name}({', '.join(arguments)}):"]
             lines += [f"    {line}" for item in body for line in ast.unparse(self._plain(item)).splitlines()]
             return "\n".join(lines)
-        written = [self._word(item) for item in arguments]
-        if language.name == "Modelica":
-            given = "\n".join(f"    input Real {item};" for item in written)
-        else:
-            given = ", ".join(f"double {item}" if language.name == "C" else item for item in written)
+        language = self.language
+        changed = stored & set(arguments)
+        if changed and self.name == "Modelica":
+            raise self.refuse(f"{changed.pop()} = ...")
+        given = language.between.join(language.argument.format(self._word(item)) for item in arguments)
         lines = [language.head.format(name=name, arguments=given)]
         own = sorted(stored - set(arguments))
-        changed = stored & set(arguments)
-        if changed and language.name == "Modelica":
-            raise self.refuse(f"{changed.pop()} = ...")
         if own and language.declare:
             lines.append(language.declare.format(names=", ".join(map(self._word, own))))
-        if language.name == "Modelica":
+        if self.name == "Modelica":
             lines.append("  algorithm")
-        if language.name == "C":
-            read = {item.id for part in body for item in ast.walk(part) if isinstance(item, ast.Name)}
+        if self.name == "C":
+            read = {item.id for item in used}
             lines += [f"    (void){self._word(item)};" for item in arguments if item not in read]
-        for item in body:
-            lines += [f"    {line}" for line in self.statement(item)]
+        lines += self.block(body)
         return "\n".join([*lines, language.end.format(name=name)])
 
     def _plain(self, node: ast.stmt) -> ast.stmt:
@@ -187,7 +189,7 @@ class _Writer:
 
     def _known(self, node: ast.Name) -> ast.expr:
         value = self.names.get(node.id)
-        if node.id in self.local or node.id in ("abs", "max", "min", "float"):
+        if node.id in self.local or node.id in _BUILT_IN:
             return node
         if isinstance(value, int | float):
             return ast.Constant(float(value))
@@ -196,114 +198,89 @@ class _Writer:
         raise self.refuse(node)
 
     def _word(self, name: str) -> str:
-        assert self.language is not None
         return f"{name}_" if name in self.language.reserved else name
+
+    def block(self, body: list[ast.stmt]) -> list[str]:
+        return [f"    {line}" for item in body for line in self.statement(item)]
 
     def statement(self, node: ast.stmt) -> list[str]:
         language = self.language
-        assert language is not None
-        if isinstance(node, ast.Return) and node.value is not None:
-            value = node.value.elts[0] if self.pair and isinstance(node.value, ast.Tuple) else node.value
-            return [language.give.format(value=self.expression(value))]
-        if isinstance(node, ast.Assign) and len(node.targets) == 1:
-            target, value = node.targets[0], node.value
-            if isinstance(target, ast.Name):
-                return [language.assign.format(name=self._word(target.id), value=self.expression(value))]
-            if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+        match node:
+            case ast.Return(value=ast.expr() as value):
+                first = value.elts[0] if self.pair and isinstance(value, ast.Tuple) else value
+                return [language.give.format(value=self.expression(first))]
+            case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                return [language.assign.format(name=self._word(name), value=self.expression(value))]
+            case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Tuple(elts=values) as value):
                 used = {item.id for item in ast.walk(value) if isinstance(item, ast.Name)}
-                if not used & {getattr(item, "id", "") for item in target.elts}:
-                    pairs = zip(target.elts, value.elts, strict=True)
-                    return [line for t, v in pairs for line in self.statement(ast.Assign([t], v))]
-        if isinstance(node, ast.AugAssign) and isinstance(node.target, ast.Name):
-            whole = ast.BinOp(ast.Name(node.target.id, ast.Load()), node.op, node.value)
-            return [language.assign.format(name=self._word(node.target.id), value=self.expression(whole))]
-        if isinstance(node, ast.If):
-            lines = [language.begin_if.format(test=self.expression(node.test))]
-            lines += [f"    {line}" for item in node.body for line in self.statement(item)]
-            if node.orelse:
-                lines.append(language.other.format())
-                lines += [f"    {line}" for item in node.orelse for line in self.statement(item)]
-            return [*lines, language.end_if.format()]
+                if used & {getattr(item, "id", "") for item in targets}:
+                    raise self.refuse(node)
+                pairs = zip(targets, values, strict=True)
+                return [line for t, v in pairs for line in self.statement(ast.Assign([t], v))]
+            case ast.AugAssign(target=ast.Name(id=name), op=op, value=value):
+                whole = ast.BinOp(ast.Name(name, ast.Load()), op, value)
+                return [language.assign.format(name=self._word(name), value=self.expression(whole))]
+            case ast.If(test=test, body=body, orelse=other):
+                lines = [language.begin_if.format(test=self.expression(test)), *self.block(body)]
+                lines += [language.other.format(), *self.block(other)] if other else []
+                return [*lines, language.end_if.format()]
         raise self.refuse(node)
 
     def expression(self, node: ast.expr) -> str:
         language = self.language
-        assert language is not None
-        if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
-            return repr(float(node.value))
-        if isinstance(node, ast.Name):
-            known = self._known(node)
-            return self.expression(known) if isinstance(known, ast.Constant) else self._word(node.id)
-        if isinstance(node, ast.Attribute) and isinstance(getattr(math, node.attr, None), float):
-            return repr(getattr(math, node.attr))
-        if isinstance(node, ast.UnaryOp):
-            sign = {ast.USub: "-", ast.UAdd: "+", ast.Not: f"{language.no} "}.get(type(node.op))
-            if sign is not None:
-                return f"({sign}{self.expression(node.operand)})"
-        if isinstance(node, ast.BinOp):
-            return self._binary(node)
-        if isinstance(node, ast.BoolOp):
-            word = language.both if isinstance(node.op, ast.And) else language.either
-            return "(" + f" {word} ".join(map(self.expression, node.values)) + ")"
-        if isinstance(node, ast.Compare):
-            return self._compare(node)
-        if isinstance(node, ast.IfExp):
-            parts = {"test": node.test, "yes": node.body, "no": node.orelse}
-            return language.choose.format(**{key: self.expression(part) for key, part in parts.items()})
-        if isinstance(node, ast.Call) and not node.keywords:
-            return self._call(node)
+        match node:
+            case ast.Constant(value=int() | float() as value):
+                return repr(float(value))
+            case ast.Name():
+                known = self._known(node)
+                return self.expression(known) if isinstance(known, ast.Constant) else self._word(node.id)
+            case ast.Attribute(attr=name) if isinstance(getattr(math, name, None), float):
+                return repr(getattr(math, name))
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd() | ast.Not() as op, operand=operand):
+                sign = {ast.USub: "-", ast.UAdd: "+", ast.Not: f"{language.no} "}[type(op)]
+                return f"({sign}{self.expression(operand)})"
+            case ast.BinOp(op=ast.Pow(), left=left, right=right):
+                whole = isinstance(right, ast.Constant) and isinstance(right.value, int)
+                return language.power.format(
+                    self.expression(left), ast.unparse(right) if whole else self.expression(right)
+                )
+            case ast.BinOp(op=op) if type(op) in _SIGNS:
+                return f"({self.expression(node.left)} {_SIGNS[type(op)]} {self.expression(node.right)})"
+            case ast.BoolOp(op=op, values=values):
+                word = language.both if isinstance(op, ast.And) else language.either
+                return "(" + f" {word} ".join(map(self.expression, values)) + ")"
+            case ast.Compare(left=left, ops=ops, comparators=others):
+                signs = _COMPARED | {ast.NotEq: language.unequal}
+                if any(type(op) not in signs for op in ops):
+                    raise self.refuse(node)
+                terms = [self.expression(item) for item in (left, *others)]
+                parts = [f"{terms[i]} {signs[type(op)]} {terms[i + 1]}" for i, op in enumerate(ops)]
+                return "(" + f" {language.both} ".join(parts) + ")"
+            case ast.IfExp(test=test, body=yes, orelse=no):
+                parts = [self.expression(item) for item in (test, yes, no)]
+                return language.choose.format(test=parts[0], yes=parts[1], no=parts[2])
+            case ast.Call(func=ast.Name() | ast.Attribute(), keywords=[]):
+                return self._call(node)
         raise self.refuse(node)
 
-    def _binary(self, node: ast.BinOp) -> str:
-        left, right = self.expression(node.left), self.expression(node.right)
-        if isinstance(node.op, ast.Pow):
-            if isinstance(node.right, ast.Constant) and isinstance(node.right.value, int):
-                right = str(node.right.value)
-            return _POWER.get(self.name, "({0})^({1})").format(left, right)
-        sign = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}.get(type(node.op))
-        if sign is None:
-            raise self.refuse(node)
-        return f"({left} {sign} {right})"
-
-    def _compare(self, node: ast.Compare) -> str:
-        assert self.language is not None
-        signs = {
-            ast.Lt: "<",
-            ast.LtE: "<=",
-            ast.Gt: ">",
-            ast.GtE: ">=",
-            ast.Eq: "==",
-            ast.NotEq: self.language.unequal,
-        }
-        parts, left = [], node.left
-        for op, right in zip(node.ops, node.comparators, strict=True):
-            if type(op) not in signs:
-                raise self.refuse(node)
-            parts.append(f"{self.expression(left)} {signs[type(op)]} {self.expression(right)}")
-            left = right
-        return "(" + f" {self.language.both} ".join(parts) + ")"
-
     def _call(self, node: ast.Call) -> str:
-        assert self.language is not None
         called = node.func
         name = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
-        if isinstance(called, ast.Name) and name not in ("abs", "max", "min", "float"):
-            if getattr(math, name, None) is not self.names.get(name) or name not in self.names:
-                raise self.refuse(node)
-        elif isinstance(called, ast.Attribute):
-            self._known(called.value) if isinstance(called.value, ast.Name) else None
+        if isinstance(called, ast.Attribute):
+            if isinstance(called.value, ast.Name):
+                self._known(called.value)
+        elif name not in _BUILT_IN and (
+            name not in self.names or self.names[name] is not getattr(math, name, None)
+        ):
+            raise self.refuse(node)
         given = [self.expression(item) for item in node.args]
         if name == "float":
             return given[0]
-        if name == "pow":
-            return _POWER.get(self.name, "({0})^({1})").format(*given)
-        if name == "copysign" and self.name == "Modelica":
-            return f"(if {given[1]} < 0.0 then -abs({given[0]}) else abs({given[0]}))"
-        if name == "hypot" and self.name == "Modelica":
-            return f"sqrt(({given[0]})^2 + ({given[1]})^2)"
-        word = name if name in _SAME else self.language.functions.get(name)
+        word = self.language.functions.get(name, name if name in _SAME else None)
         if word is None:
             raise self.refuse(node)
+        if "{" in word:
+            return word.format(*given)
         while len(given) > 2:  # of max and min
             given = [f"{word}({given[0]}, {given[1]})", *given[2:]]
         return f"{word}({', '.join(given)})"

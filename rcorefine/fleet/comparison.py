@@ -1,22 +1,110 @@
-"""Comparison of machines: common effects, individual ones, and trends.
+"""Rows of a survey, and the comparison of machines.
 
-It takes the rows of the records and describes the fleet.
+The comparison finds common effects, individual ones, and trends. A row is the result of one record as plain
+values, small enough to send and to keep by the million.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..effects.effect import Effect
 from ..results import Row
 from ..systems.linear import Array
-from . import growth, pooling
-from .row import SurveyRow
+from . import pooling
 
-__all__ = ["FleetEffect", "MachineEffect", "Trend", "fleet_effects", "trends"]
+__all__ = ["Estimate", "FleetEffect", "MachineEffect", "SurveyRow", "Trend", "fleet_effects", "trends"]
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate(Row):
+    """A coefficient as one record has it.
+
+    Attributes
+    ----------
+    kind, place, name : str
+        Effect, place, and name of the coefficient or parameter.
+    value, std : float
+        Estimate (of a parameter of the model: the change of it) and standard deviation, in `unit`.
+    unit : str
+        Unit, "" where unknown.
+    """
+
+    kind: str
+    place: str
+    name: str
+    value: float
+    std: float
+    unit: str
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Which coefficient it is."""
+        return self.kind, self.place, self.name
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyRow(Row):
+    """Result of one record of one machine.
+
+    Rows are equal if all their values but the seconds are equal.
+
+    Attributes
+    ----------
+    machine, record : str
+        Names; that of a file is its name without suffix.
+    number : int
+        The machine's records count from 0, in order of time.
+    start : float or None
+        Time of the first sample in s; None where the record could not be read.
+    verdict : str or None
+        Of the task: as `Diagnosis.verdict` or `Improvement.verdict`; of a localization "changed", "unchanged"
+        or "unexplained"; of a refinement "fitted" or "doubtful". None where it failed.
+    effect, place : str or None
+        The effect that was found, the surest of several, and where.
+    coefficient, std : float or None
+        Its first coefficient and the standard deviation, in `unit`.
+    unit : str
+        Unit, "" where unknown.
+    probability : float or None
+        Of the effect, where the task gives one.
+    seconds : float
+        Wall time on the worker, reading included.
+    error : str or None
+        Why there is no answer.
+    estimates : tuple of Estimate
+        All coefficients that enter the comparison of the fleet.
+    effects : tuple of Effect
+        All effects that were found.
+    sentences : tuple of str
+        What was found, in words.
+    """
+
+    machine: str
+    record: str
+    number: int
+    start: float | None = None
+    verdict: str | None = None
+    effect: str | None = None
+    place: str | None = None
+    coefficient: float | None = None
+    std: float | None = None
+    unit: str = ""
+    probability: float | None = None
+    seconds: float = field(default=0.0, compare=False)
+    error: str | None = None
+    estimates: tuple[Estimate, ...] = ()
+    effects: tuple[Effect, ...] = ()
+    sentences: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """Effect and place; "" where none was found."""
+        return " at ".join(part for part in (self.effect, self.place) if part)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,10 +310,12 @@ def trends(rows: Sequence[SurveyRow], level: float) -> tuple[Trend, ...]:
     found = []
     for coefficient in _by_coefficient(rows):
         courses = {
-            name: course for name, course in coefficient.courses.items() if len(course[0]) >= growth.LEAST
+            name: course
+            for name, course in coefficient.courses.items()
+            if len(course[0]) >= pooling.LEAST_TIMES
         }
         if courses:
-            slope, std, p_values = growth.slopes(list(courses.values()))
+            slope, std, p_values = pooling.slopes(list(courses.values()))
             found += [
                 (coefficient, name, len(courses[name][0]), float(slope[i]), float(std[i]), float(p_values[i]))
                 for i, name in enumerate(courses)
@@ -246,7 +336,7 @@ class _Coefficient:
 
     key: tuple[str, str, str]
     unit: str
-    courses: dict[str, growth.Course]
+    courses: dict[str, pooling.Course]
     per: dict[str, str]
 
 
@@ -276,8 +366,7 @@ def _by_coefficient(rows: Sequence[SurveyRow]) -> list[_Coefficient]:
 def _holm(p_values: Sequence[float]) -> list[float]:
     """p-values for all together."""
     order = np.argsort(p_values, kind="stable")
-    found, least = np.zeros(len(p_values)), 0.0
-    for rank, i in enumerate(map(int, order)):
-        least = max(least, min(1.0, (len(p_values) - rank) * p_values[i]))
-        found[i] = least
+    left = np.arange(len(p_values), 0, -1)
+    found = np.empty(len(p_values))
+    found[order] = np.maximum.accumulate(np.minimum(1.0, left * np.asarray(p_values)[order]))
     return [float(p) for p in found]

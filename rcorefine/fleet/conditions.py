@@ -16,7 +16,7 @@ from ..arguments import as_path
 from ..effects.law import KINDS
 from ..exceptions import DataError
 from ..words import chance, with_error
-from .comparison import FleetEffect
+from .comparison import FleetEffect, MachineEffect
 
 if TYPE_CHECKING:
     from .result import Survey
@@ -71,32 +71,35 @@ def _effects(survey: Survey, table: Mapping[str, Any]) -> list[FleetEffect]:
     ]
 
 
-def _against_fleet(sign: int) -> Callable[[Survey, Mapping[str, Any], float], _Said]:
-    def test(survey: Survey, table: Mapping[str, Any], most: float) -> _Said:
-        side = "above" if sign > 0 else "below"
-        for effect in _effects(survey, table):
-            for machine in _of(effect.machines, table):
-                if machine.deviation is None:
-                    said = "cannot be judged: fewer than 3 other machines have it"
-                    yield machine.machine, f"{effect.label} {said}"
-                elif sign * machine.deviation >= most:
-                    size = f"{machine.value:.4g} {effect.unit}".rstrip()
-                    far = f"{abs(machine.deviation):.3g} standard deviations {side} the fleet"
-                    yield machine.machine, f"{effect.label} is {size}, {far}"
-
-    return test
+def _against_fleet(survey: Survey, table: Mapping[str, Any], most: float) -> _Said:
+    for effect, machine, side, sign in _machines(survey, table):
+        if machine.deviation is None:
+            said = "cannot be judged: fewer than 3 other machines have it"
+            yield machine.machine, f"{effect.label} {said}"
+        elif sign * machine.deviation >= most:
+            size = f"{machine.value:.4g} {effect.unit}".rstrip()
+            far = f"{abs(machine.deviation):.3g} standard deviations {side} the fleet"
+            yield machine.machine, f"{effect.label} is {size}, {far}"
 
 
-def _limit(sign: int) -> Callable[[Survey, Mapping[str, Any], float], _Said]:
-    def test(survey: Survey, table: Mapping[str, Any], limit: float) -> _Said:
-        for effect in _effects(survey, table):
-            for machine in _of(effect.machines, table):
-                if sign * (machine.value - limit) > 0:
-                    size = with_error(machine.value, machine.std, effect.unit)
-                    side = "above" if sign > 0 else "below"
-                    yield machine.machine, f"{effect.label} is {size}, {side} {limit:g}"
+def _limit(survey: Survey, table: Mapping[str, Any], limit: float) -> _Said:
+    for effect, machine, side, sign in _machines(survey, table):
+        if sign * (machine.value - limit) > 0:
+            size = with_error(machine.value, machine.std, effect.unit)
+            yield machine.machine, f"{effect.label} is {size}, {side} {limit:g}"
 
-    return test
+
+def _machines(
+    survey: Survey, table: Mapping[str, Any]
+) -> Iterator[tuple[FleetEffect, MachineEffect, str, int]]:
+    """Yield the coefficients to which a condition applies.
+
+    Each comes with the side of the limit that breaks the condition, and its sign.
+    """
+    side, sign = ("above", 1) if {"above", "above_fleet"} & set(table) else ("below", -1)
+    for effect in _effects(survey, table):
+        for machine in _of(effect.machines, table):
+            yield effect, machine, side, sign
 
 
 def _growth(survey: Survey, table: Mapping[str, Any], level: float) -> _Said:
@@ -130,10 +133,8 @@ def _of(entries: Any, table: Mapping[str, Any]) -> list[Any]:
 
 
 _TESTS: dict[str, Callable[[Any, Mapping[str, Any], Any], _Said]] = {
-    "above_fleet": _against_fleet(1),
-    "below_fleet": _against_fleet(-1),
-    "above": _limit(1),
-    "below": _limit(-1),
+    **dict.fromkeys(("above_fleet", "below_fleet"), _against_fleet),
+    **dict.fromkeys(("above", "below"), _limit),
     "growth": _growth,
     "verdict": _verdict,
     "errors": _errors,

@@ -19,14 +19,14 @@ from typing import Any
 import control as ct
 
 from ..arguments import as_path, shown
-from ..data.files import SUFFIXES, read_record
+from ..data.channels import SUFFIXES, read_record
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..exceptions import DataError, ModelError
 from ..inference.refinement import Refinement
 from ..models.conversion import as_physical
 from ..models.reading import read_model
-from .row import SurveyRow
+from .comparison import SurveyRow
 from .tasks import TASKS, estimate_again
 
 __all__ = ["Piece", "again", "examine", "model_for", "pieces_of"]
@@ -95,11 +95,7 @@ def _model_in(path: Path, _: int) -> Any:
 
 def examine(pieces: tuple[Piece, ...]) -> list[SurveyRow]:
     """Rows of some records: what a worker does. One that fails stops nothing."""
-
-    def answer(piece: Piece, model: Any, data: Measurement) -> dict[str, Any]:
-        return TASKS[piece.task](model, data, piece.options).fields()
-
-    return [_row(piece, answer) for piece in pieces]
+    return [_row(piece, TASKS[piece.task], piece.options) for piece in pieces]
 
 
 def again(pieces: tuple[tuple[Piece, SurveyRow, tuple[Effect, ...]], ...]) -> list[SurveyRow]:
@@ -109,31 +105,22 @@ def again(pieces: tuple[tuple[Piece, SurveyRow, tuple[Effect, ...]], ...]) -> li
     """
     rows = []
     for piece, row, effects in pieces:
-
-        def answer(
-            piece: Piece,
-            model: Any,
-            data: Measurement,
-            effects: tuple[Effect, ...] = effects,
-            off: bool = row.verdict == "parameters",
-        ) -> dict[str, Any]:
-            return {"estimates": estimate_again(model, data, effects, piece.options, off)}
-
-        done = _row(piece, answer)
+        done = _row(piece, estimate_again, effects, piece.options, row.verdict == "parameters")
         said = row.sentences if done.error is None else (*row.sentences, f"Not compared: {done.error}")
         seconds = row.seconds + done.seconds
         rows.append(replace(row, estimates=done.estimates, sentences=said, seconds=seconds))
     return rows
 
 
-def _row(piece: Piece, answer: Callable[[Piece, Any, Measurement], dict[str, Any]]) -> SurveyRow:
+def _row(piece: Piece, answer: Callable[..., dict[str, Any]], *given: Any) -> SurveyRow:
+    """Return the row with what a function answers about the record."""
     begin = time.perf_counter()
     try:
         with warnings.catch_warnings(), _with_levels(piece.levels):
             warnings.simplefilter("ignore")  # what they say is in the result
             model, data = piece.read()
             about = piece.machine, piece.name, piece.number, float(data.timepts[0])
-            row = SurveyRow(*about, **answer(piece, model, data))
+            row = SurveyRow(*about, **answer(model, data, *given))
     except Exception as error:
         row = piece.failed(f"{type(error).__name__}: {error}")
     return replace(row, seconds=time.perf_counter() - begin)

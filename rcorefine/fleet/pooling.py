@@ -1,4 +1,4 @@
-"""Pooling of one coefficient over many machines.
+"""Pooling of one coefficient over many machines, and its trends over time.
 
 It gives the mean, the spread between machines, and the machines that stand out. The model is that of a
 meta-analysis with random effects: machine i has the coefficient mu + b_i, b_i of variance tau^2, and its
@@ -10,6 +10,7 @@ Clinical Trials 7, 1986, 177-188), the error of mu that of Hartung and Knapp (St
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,10 +19,16 @@ from scipy import stats
 
 from ..systems.linear import Array
 
-__all__ = ["LEAST", "Pooled", "deviations", "pool", "shrunk", "standing_out"]
+__all__ = [
+    "LEAST", "LEAST_TIMES", "Course", "Pooled", "deviations", "pool", "shrunk", "slopes", "standing_out",
+]  # fmt: skip
 
 #: Machines from which on one can be told from the others: three that it is compared with.
 LEAST = 4
+#: Records of one machine from which on a line through them leaves something over.
+LEAST_TIMES = 3
+#: Times, estimates and their variances, one each per record of a machine.
+Course = tuple[Array, Array, Array]
 _TOGETHER = 20  # machines that hide each other, at most
 
 
@@ -194,3 +201,35 @@ def _take_out(values: Array, variances: Array, core: NDArray[np.bool_], level: f
         if p_values[first] * core.sum() > level:
             return
         core[first] = False
+
+
+def slopes(courses: Sequence[Course]) -> tuple[Array, Array, Array]:
+    """Return the slope of one coefficient over time for each machine.
+
+    The line through the records of a machine is fitted by weighted least squares.
+
+    Parameters
+    ----------
+    courses : sequence of (times, values, variances)
+        One per machine, three records or more at different times each.
+
+    Returns
+    -------
+    slope, std, p_value : ndarray, shape (number of machines,)
+        The p-value is two-sided, for this machine alone. How far the records scatter beyond their errors
+        is one factor for all machines (1 at least), estimated from what the lines leave over, with
+        as many degrees of freedom: the analysis of covariance.
+    """
+    slope, std, left, dof = [], [], 0.0, 0
+    for times, values, variances in courses:
+        weights = 1.0 / variances
+        t = times - np.average(times, weights=weights)
+        y = values - np.average(values, weights=weights)
+        square = float(weights @ t**2)
+        slope.append(float(weights @ (t * y)) / square)
+        std.append(square**-0.5)
+        left += float(weights @ (y - slope[-1] * t) ** 2)
+        dof += times.size - 2
+    factor = np.sqrt(max(1.0, left / dof)) if dof else 1.0
+    found, error = np.array(slope), factor * np.array(std)
+    return found, error, np.asarray(2 * stats.t.sf(np.abs(found) / error, max(dof, 1)))

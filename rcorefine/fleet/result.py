@@ -18,9 +18,8 @@ from ..arguments import as_text
 from ..exceptions import ModelError
 from ..results import Options, Result, picture, show
 from ..words import chance, counted, with_error
-from .comparison import FleetEffect, MachineEffect, Trend
+from .comparison import FleetEffect, MachineEffect, SurveyRow, Trend
 from .conditions import Breach, breaches
-from .row import SurveyRow
 
 __all__ = ["Survey"]
 

@@ -17,7 +17,7 @@ from ..engine.nonlinear import nonlinear_system
 from ..engine.simulation import simulate
 from ..engine.structure import Structure
 from ..exceptions import ModelError
-from ..export.exports import CodeExports
+from ..export.programs import CodeExports
 from ..models.physical_model import PhysicalModel
 from ..results import Options, ReportedModel, Row, picture, show
 from ..systems.linear import Array

@@ -13,8 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ..arguments import as_choice, as_path, as_text, as_texts, as_vector
-from ..data.apart import damaged
-from ..data.extra_formats import read_uff_modes
+from ..data.formats import damaged, read_uff_modes
 from ..exceptions import ConversionWarning, DataError, ModelError, warn
 from ..systems.linear import Array
 

@@ -19,8 +19,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, issparse
 
 from ..archives import array_of, read_archive
-from ..data.apart import read_apart
-from ..data.matlab import read_matlab
+from ..data.formats import read_apart, read_matlab
 from ..exceptions import ModelError
 from ..systems.linear import Array
 from . import builders

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..archives import read_archive
 from ..arguments import as_mapping, as_path
-from ..data.apart import damaged
+from ..data.formats import damaged
 from ..effects.effect import ARGUMENTS, Effect, import_path, law_here
 from ..effects.given import Custom, Table
 from ..exceptions import DataError, ModelError

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import as_flag
-from ..data.apart import damaged
+from ..data.formats import damaged
 from ..data.measurement import Measurement
 from ..exceptions import RCOError
 from ..progress import Progress

@@ -16,9 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from ..arguments import as_vector
 from ..data.channels import match_channels, record_for
 from ..data.frequency_response import FrequencyResponse
-from ..data.levels import MOST, stretches_by_level
 from ..data.measurement import Measurement
-from ..data.records import as_records
+from ..data.records import MOST_LEVELS, as_records, stretches_by_level
 from ..engine.amplitude_response import frequency_response_at
 from ..engine.simulation import simulated, structure_of
 from ..exceptions import DivergenceError, ModelError
@@ -506,7 +505,7 @@ def _measured_groups(refinement: Any, linear: LinearModel, measured: Any) -> lis
     for record in records:
         parts += stretches_by_level(record_for(record, match_channels(linear, record)))
     groups: list[_Group] = []
-    for level, part in sorted(parts, key=lambda pair: pair[0])[:MOST]:
+    for level, part in sorted(parts, key=lambda pair: pair[0])[:MOST_LEVELS]:
         try:
             run = simulated(refinement, part, "estimate", led=True).outputs
         except DivergenceError:

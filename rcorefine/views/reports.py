@@ -13,8 +13,8 @@ import numpy as np
 from ..comparison.compare import compare
 from ..comparison.responses import FrequencyComparison
 from ..comparison.result import Comparison, best_of, failures_of
-from ..data.levels import stretches_by_level
 from ..data.measurement import Measurement
+from ..data.records import stretches_by_level
 from ..data.response_record import in_frequency
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, Improvement

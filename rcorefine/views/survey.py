@@ -16,9 +16,8 @@ import numpy as np
 from ..arguments import as_flag, as_path
 from ..exercises.exercise import Exercise
 from ..exercises.grading import Grades
-from ..fleet.comparison import FleetEffect
+from ..fleet.comparison import FleetEffect, SurveyRow
 from ..fleet.result import Survey
-from ..fleet.row import SurveyRow
 from ..results import shows
 from ..words import chance, counted, with_error
 from .figures import BAND, Frame, draws, plain, style, unit_text

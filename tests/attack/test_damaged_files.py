@@ -14,7 +14,7 @@ import scipy.io
 import rcorefine as rco
 from rcorefine import DataError, Measurement, ModelError
 from rcorefine.commands.cli import main
-from rcorefine.data import apart
+from rcorefine.data import formats
 from rcorefine.models.reading import read_model
 
 OURS = (rco.RCOError, ct.ControlArgument, ct.ControlDimension)
@@ -293,8 +293,8 @@ def test_matlab_files_are_read_in_a_process_that_may_die(tmp_path, monkeypatch):
     """Whatever happens there (a crash, an endless loop, all memory) is one sentence here."""
     path, child = tmp_path / "r.mat", tmp_path / "child.py"
     scipy.io.savemat(path, columns())
-    monkeypatch.setattr(apart, "_CHILD", child)
-    monkeypatch.setattr(apart, "_PATIENCE", 2.0)
+    monkeypatch.setattr(formats, "_CHILD", child)
+    monkeypatch.setattr(formats, "_PATIENCE", 2.0)
     for code, message in (
         ("import os; os.abort()", "ended with code -6"),
         ("while True: pass", "could not be read within 2 s"),

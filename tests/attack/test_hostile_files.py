@@ -12,7 +12,6 @@ import resource
 import signal
 import subprocess
 import sys
-import tempfile
 import zipfile
 from pathlib import Path
 
@@ -28,7 +27,7 @@ from rcorefine.models.reading import read_model
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 LONGEST, ROOM = 10, 200  # seconds; MB beside four times the file
-NOT_HERE = [name for name in ("h5py", "nptdms", "pyuff", "rosbags") if importlib.util.find_spec(name) is None]
+NOT_HERE = [name for name in ("h5py", "pyuff") if importlib.util.find_spec(name) is None]
 
 
 # ------------------------------------------------------------------ formats of other packages
@@ -38,34 +37,6 @@ def hdf5(path, **options):
     with h5py.File(path, "w") as file:
         for name, column in plain.columns().items():
             file.create_dataset(f"rig/{name}", data=column, **options)
-
-
-def tdms(path):
-    from nptdms import ChannelObject, TdmsWriter
-
-    with TdmsWriter(str(path)) as file:
-        file.write_segment([ChannelObject("rig", *column) for column in plain.columns().items()])
-
-
-def rosbag(path):
-    """Two topics of numbers; of ROS 2 as the one file that stands in its folder."""
-    from rosbags import rosbag1, rosbag2
-    from rosbags.typesys import Stores, get_typestore
-
-    old, kind = path.suffix == ".bag", "std_msgs/msg/Float64"
-    store = get_typestore(Stores.ROS1_NOETIC if old else Stores.ROS2_HUMBLE)
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder, "a.bag" if old else "a")
-        plugin = rosbag2.StoragePlugin.MCAP if path.suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3
-        made = rosbag1.Writer(place) if old else rosbag2.Writer(place, version=9, storage_plugin=plugin)
-        with made as writer:
-            for topic in ("volt", "speed"):
-                connection = writer.add_connection(f"/{topic}", kind, typestore=store)
-                for k, value in enumerate(plain.columns()[topic]):
-                    message = store.types[kind](float(value))
-                    raw = (store.serialize_ros1 if old else store.serialize_cdr)(message, kind)
-                    writer.write(connection, k * 10_000_000, bytes(raw))
-        path.write_bytes((place if old else place / f"a{path.suffix}").read_bytes())
 
 
 def universal(path):
@@ -110,9 +81,6 @@ FORMATS = {
         lambda p: hdf5(p, compression="gzip", chunks=(16,)),
         lambda p: Measurement.from_hdf5(p, **in_rig),
     ),
-    "a.tdms": (tdms, lambda p: Measurement.from_tdms(p, "volt", "speed", time="time")),
-    **{f"a.{end}": (rosbag, lambda p: Measurement.from_rosbag(p, "/volt/data", "/speed/data"))
-       for end in ("bag", "mcap", "db3")},
     "a.uff": (universal, lambda p: Measurement.from_uff(p, 0, 1)),
     "frf.csv": (responses, lambda p: rco.FrequencyResponse.from_csv(p, "f", "H", phase="phase")),
     "a.lvm": (labview, lambda p: Measurement.from_csv(p, "volt", "speed", time="X_Value")),

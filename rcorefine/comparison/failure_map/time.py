@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from ...data.range_ends import coarse_noise, cut_off
+from ...data.records import coarse_noise, cut_off
 from ...inference.autoregression import autoregression
 from ...inference.whitening import innovations
 from ...systems.linear import Array

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ...arguments import as_number, as_text
 from ...arithmetic import own_arithmetic
-from ...data.apart import damaged
+from ...data.formats import damaged
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...exceptions import ModelError
