@@ -16,8 +16,6 @@ import numpy as np
 
 from .exceptions import DataError
 
-__all__ = ["array_of", "arrays_of", "most_bytes", "read_archive"]
-
 _ROOM = 50 << 20  # bytes that any file may unfold to ...
 _TIMES = 8  # ... and how many times its own size beyond that: records seldom, bombs a thousand times
 _HEADERS = {

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-__all__ = ["own_arithmetic"]
-
 
 def own_arithmetic() -> np.errstate:
     """Return NumPy's default error settings as a context or decorator.

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from .systems.linear import Array
 
-__all__ = ["Bordered"]
-
 _UNSEEN = 1e-14  # eigenvalue of the unit-column normal matrix, relative, below which a direction is not seen
 
 

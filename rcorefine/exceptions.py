@@ -23,20 +23,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-__all__ = [
-    "ConversionWarning",
-    "DataError",
-    "DivergenceError",
-    "ExcitationWarning",
-    "IdentifiabilityWarning",
-    "MissingExtraError",
-    "ModelError",
-    "RCOError",
-    "RCOWarning",
-    "unheard",
-    "warn",
-]
-
 
 class RCOError(Exception):
     """Base class of the errors that rcorefine raises of its own."""

@@ -10,8 +10,6 @@ from typing import Any
 
 from .exceptions import MissingExtraError
 
-__all__ = ["needed"]
-
 
 def needed(module: str, extra: str, what: str) -> Any:
     """A module that not everybody has.

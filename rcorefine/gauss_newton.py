@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from .bordered import Bordered
 from .systems.linear import Array
 
-__all__ = ["Minimum", "Rows", "gauss_newton", "own_sizes", "promised"]
-
 _UNSEEN = 1e-14  # eigenvalue of the unit-column normal matrix, relative, below which a direction is not seen
 _NO_STEP = 1e-12  # size of a column, times that of its unknown and relative, below which it is not felt
 

@@ -21,20 +21,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-__all__ = [
-    "FASTMATH",
-    "NUMBA",
-    "address_of",
-    "by_address",
-    "call_at",
-    "compiled",
-    "compiled_law",
-    "inlined",
-    "number_at",
-    "put",
-    "put_rows",
-]
-
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 #: Reordering of sums is allowed (that is what vectorizes them); NaN and Inf keep their

@@ -17,8 +17,6 @@ from tqdm import tqdm
 
 from .arguments import as_flag, as_mapper
 
-__all__ = ["Progress"]
-
 _DELAY = 1.0  # s of work before a bar appears unasked
 
 Task = TypeVar("Task")

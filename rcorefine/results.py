@@ -19,19 +19,6 @@ from .arguments import printable
 if TYPE_CHECKING:
     from .data.measurement import Measurement
 
-__all__ = [
-    "OPTIONS",
-    "Data",
-    "Look",
-    "Options",
-    "Reported",
-    "ReportedModel",
-    "Result",
-    "Row",
-    "picture",
-    "show",
-    "shows",
-]
 
 P = ParamSpec("P")
 T = TypeVar("T")

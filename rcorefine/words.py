@@ -7,8 +7,6 @@ import math
 import control as ct
 import numpy as np
 
-__all__ = ["chance", "counted", "estimate", "frequency_text", "phase_text", "with_error"]
-
 _SURE = 0.995  # where two digits would make it a certainty
 _MOST = 6  # significant digits of an estimate, however well it is known
 

@@ -17,8 +17,6 @@ from typing import BinaryIO, cast
 
 from .arguments import as_path
 
-__all__ = ["replacing"]
-
 try:
     import fcntl
 except ImportError:  # Windows, where nobody removes or replaces a file that is open

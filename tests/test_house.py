@@ -35,14 +35,14 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 874, "arguments": 250, "commands": 1382, "comparison": 2948, "data": 2920, "diagnosis": 5711,
-    "effects": 3379, "engine": 3310, "examples": 259, "exercises": 563, "explorer": 1098, "export": 511,
-    "fleet": 1044, "inference": 2889, "localization": 1330, "models": 3508, "refinement": 196,
-    "streaming": 7517, "systems": 602, "views": 4431,
+    ".": 830, "arguments": 250, "commands": 1171, "comparison": 2277, "data": 2451, "diagnosis": 5371,
+    "effects": 2962, "engine": 3443, "examples": 258, "exercises": 543, "explorer": 1058, "export": 480,
+    "fleet": 1005, "inference": 2783, "localization": 1198, "models": 3472, "refinement": 177,
+    "streaming": 6728, "systems": 597, "views": 3638,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.
-COMPLEX, WIDE, TINY = 109, 12, 107
+COMPLEX, WIDE, TINY = 95, 10, 83
 
 
 @functools.cache

@@ -13,8 +13,6 @@ from ..data.records import as_record
 from ..exceptions import DataError, ModelError
 from ..systems.linear import Array
 
-__all__ = ["black_box"]
-
 _ITERATIONS = 30
 
 

@@ -29,8 +29,6 @@ from .failure_map.record import given_places
 from .responses import FrequencyComparison, LevelComparison, compare_responses
 from .result import Comparison
 
-__all__ = ["compare"]
-
 
 @overload
 def compare(

@@ -14,8 +14,6 @@ from ..data.measurement import Measurement
 from ..results import Row
 from ..systems.linear import Array
 
-__all__ = ["LineLevels", "excited_lines", "line_levels"]
-
 _LEAST = 3  # periods: the first one settles, and noise takes two to be seen
 _SENT = 1e-12  # of the strongest line's power: less was not sent
 _REACH = 5  # times the highest line sent, up to which distortion is looked for

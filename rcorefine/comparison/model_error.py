@@ -25,7 +25,6 @@ from .failure_map.record import ModelOnRecord
 if TYPE_CHECKING:
     from .result import Comparison
 
-__all__ = ["HorizonError", "ModelError", "horizon_error", "model_error"]
 
 _NOISE = 0.02
 _LEVELS = tuple(10.0 ** np.arange(-3.0, 3.1, 1.0))

@@ -19,8 +19,6 @@ from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
 from .signals import fit_percent
 
-__all__ = ["FrequencyComparison", "LevelComparison", "compare_responses"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrequencyComparison(Reported):

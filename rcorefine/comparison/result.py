@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from ..data.frequency_response import FrequencyResponse
     from .failure_map.search import FailureMap
 
-__all__ = ["KINDS", "Comparison", "best_of", "failures_of"]
 
 KINDS = ("time", "bode", "residual", "horizon", "map", "decay")
 

@@ -13,8 +13,6 @@ from scipy import stats
 from ..exceptions import DataError
 from ..systems.linear import Array
 
-__all__ = ["Correlogram", "Decay", "correlogram", "decay_of", "fit_percent", "root_mean_square"]
-
 _NOISE = 6.0  # standard deviations of the noise by which a signal must pass its level to count as crossing it
 _WITHIN = 1 / 6  # of a half cycle on either side of an extreme to which a parabola is fitted
 _SMOOTHED = 5  # amplitudes to which a logarithmic decrement is fitted

@@ -19,11 +19,6 @@ from ..systems.linear import LinearModel
 from .frequency_response import FrequencyResponse
 from .measurement import Measurement
 
-__all__ = [
-    "SUFFIXES", "Channels", "aligned", "match_channels", "read_record", "record_for", "resting_inputs",
-    "with_outputs",
-]  # fmt: skip
-
 _DEFAULT = re.compile(r"[uyx]\[\d+\]")
 
 _READERS: dict[str, Any] = {

@@ -27,11 +27,6 @@ from ..exceptions import DataError, MissingExtraError, RCOError
 from ..extras import needed
 from ..systems.linear import Array
 
-__all__ = [
-    "Columns", "damaged", "names_of", "read_apart", "read_frame", "read_hdf5", "read_mat", "read_matlab",
-    "read_npz", "read_uff", "read_uff_modes", "read_uff_responses",
-]  # fmt: skip
-
 _CHILD = Path(__file__).with_name("apart_child.py")
 _PATIENCE = 60.0  # s for any file ...
 _SPEED = 2e6  # ... and bytes per second beyond that
@@ -217,7 +212,7 @@ def _shape(value: Any) -> str:
         return f"structure with fields {', '.join(value)}"
     if isinstance(value, tuple):  # what is neither array nor structure, by the name of its type
         hint = " (tables and timetables: read them with mat-io, then from_frame)"
-        return str(value[0]) + hint * (value[0] == "MATLAB object")
+        return str(value[0]) + (hint if value[0] == "MATLAB object" else "")
     kind = "" if value.dtype.kind in "fiub" else f" {value.dtype}"
     return f"{' x '.join(map(str, value.shape))}{kind}"
 

@@ -30,11 +30,10 @@ from ..arguments import (
 from ..exceptions import DataError
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
+from . import HOLDS
 from .formats import damaged, names_of, read_uff_responses
-from .signals import HOLDS, default_labels
+from .signals import default_labels
 from .tables import read_csv
-
-__all__ = ["FrequencyResponse"]
 
 _UNITS: dict[str, dict[str, float]] = {
     "frequency_unit": {"Hz": 2e0 * np.pi, "kHz": 2e3 * np.pi, "rad/s": 1.0, "rpm": np.pi / 30.0},

@@ -26,14 +26,14 @@ from ..exceptions import DataError, ExcitationWarning, warn
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
 from ..words import counted
+from . import HOLDS
 from .readers import RecordReaders
 from .resampling import decimated
-from .signals import HOLDS, as_signals, as_time_grid, check_finite, check_sizes, default_labels
+from .signals import as_signals, as_time_grid, check_finite, check_sizes, default_labels
 
 if TYPE_CHECKING:
     from .frequency_response import FrequencyResponse
 
-__all__ = ["HOLDS", "Measurement"]
 
 _HELD, _TOP = 0.95, 0.998  # shares of the largest excursion: above them a system may still be held
 _ARRAYS = ("inputs", "outputs", "timepts", "origin")

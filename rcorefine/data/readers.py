@@ -12,12 +12,11 @@ import numpy as np
 
 from ..arguments import as_choice, as_list, as_number, as_path, as_text, as_whole
 from ..exceptions import DataError
+from . import HOLDS
 from .formats import Columns, damaged, names_of, read_frame, read_hdf5, read_mat, read_npz, read_uff
 from .resampling import Stamped, as_stamps, regular
-from .signals import HOLDS, as_signals, check_finite, default_labels, is_irregular
+from .signals import as_signals, check_finite, default_labels, is_irregular
 from .tables import read_csv, seconds_per
-
-__all__ = ["RecordReaders"]
 
 
 class RecordReaders:

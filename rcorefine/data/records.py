@@ -16,11 +16,6 @@ from ..exceptions import DataError
 from ..systems.linear import Array
 from .measurement import Measurement
 
-__all__ = [
-    "MOST_LEVELS", "amplitude", "as_record", "as_records", "at_rest", "clipped", "coarse_noise", "cut_off",
-    "resolution", "runs", "stretches_by_level",
-]  # fmt: skip
-
 MOST_LEVELS = 3  # levels of a record that are told apart
 _BLOCKS = 24  # pieces of a record whose level is looked at
 _RATIO = 1.6  # of the levels of two stretches that count as different

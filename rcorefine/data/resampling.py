@@ -17,8 +17,6 @@ from ..exceptions import DataError
 from ..systems.linear import Array
 from .signals import in_seconds, step_of
 
-__all__ = ["Resampled", "Stamped", "as_stamps", "decimated", "regular"]
-
 _FINEST = 100  # samples per stamp that may be asked for
 _DOUBLED = 0.2  # of a step: stamps that are closer count as one
 _GAP = 3.0  # steps

@@ -19,8 +19,6 @@ from .channels import match_channels
 from .frequency_response import FrequencyResponse
 from .measurement import Measurement
 
-__all__ = ["ResponseRecord", "as_responses", "coded", "in_frequency", "noise_is_known", "some_lines"]
-
 Places = NDArray[np.integer[Any]]
 _ROUNDING = 1e-9  # of the response: no point is known better
 _CORRELATED = 3  # neighboring lines of a Hann window are; every third one is on its own

@@ -16,12 +16,6 @@ import numpy as np
 from ..arguments import as_array, as_number
 from ..exceptions import DataError
 from ..systems.linear import Array
-from . import HOLDS
-
-__all__ = [
-    "HOLDS", "LARGEST", "SMALLEST", "as_signals", "as_time_grid", "check_finite", "check_sizes",
-    "default_labels", "in_seconds", "is_clock_time", "is_irregular", "seconds_of", "step_of",
-]  # fmt: skip
 
 # A time axis may leave its regular grid by this share of a sample: the rounding of a text file passes,
 # a lost, doubled or shifted sample does not.

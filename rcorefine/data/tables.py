@@ -22,8 +22,6 @@ from ..systems.linear import Array
 from .formats import Columns
 from .signals import is_clock_time, seconds_of
 
-__all__ = ["is_unit", "read_csv", "seconds_per", "split_unit"]
-
 _PREFIXED = (
     "m", "s", "g", "N", "V", "A", "W", "J", "Pa", "K", "C", "Hz", "rad", "F", "H", "T", "Wb", "l", "L", "bar",
     "Ohm", "ohm", "Ω", "Nm", "VA", "Wh", "eV", "mol", "lx", "cd", "S", "gn",

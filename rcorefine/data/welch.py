@@ -21,7 +21,6 @@ from .frequency_response import FrequencyResponse
 if TYPE_CHECKING:
     from .measurement import Measurement
 
-__all__ = ["effective_averages", "estimate_frequency_response"]
 
 # Where an input holds less than this share of its strongest line, nothing was asked of the system.
 _POWER_FLOOR = 1e-10

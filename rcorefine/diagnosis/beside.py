@@ -17,8 +17,6 @@ from ..inference.sensitivities import force_responses
 from ..systems.linear import Array
 from .residual_tests import TestedResidual, in_rows, over_frequency
 
-__all__ = ["Beside", "FreeStiffness", "channel_curve", "curve_at", "curve_columns", "motion_at", "stops"]
-
 _NESTED = (1, 2, 4, 8, 16)  # leading directions that are tested together
 _SEEN = 1e-10  # least eigenvalue of a direction that is kept, over the largest
 _RADII = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)  # radii of the stops over the standard deviation of the motion

@@ -31,19 +31,6 @@ from ..models.physical_model import PhysicalModel
 from ..progress import Progress
 from .residual_tests import passes
 
-__all__ = [
-    "Case",
-    "Parts",
-    "candidates_of",
-    "common_horizon",
-    "excerpt",
-    "no_motion",
-    "not_excited",
-    "not_held",
-    "seen_in",
-    "split_in_parts",
-]
-
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
 _SOLVED = 1e-7  # of a response: its balance of harmonics is solved to 1e-8, which grows near a resonance
 SHORTEST, _FEWEST = 200, 60  # samples of a record, and values of a frequency response, that can be tested

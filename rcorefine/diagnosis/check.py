@@ -44,8 +44,6 @@ from .check_rows import (
 from .residual_tests import TestedResidual
 from .verdict import detectable
 
-__all__ = ["check", "looks"]
-
 _SHORTEST = 20  # samples
 _TESTS = 6  # among which one would have to show an effect
 _SETTINGS = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}

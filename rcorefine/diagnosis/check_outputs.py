@@ -24,8 +24,6 @@ from ..words import counted, with_error
 from .check_rows import LOOK, OK, STOP, CheckRow
 from .units import between, likely
 
-__all__ = ["gain_rows", "level_rows"]
-
 _BLOCKS = 12
 _SURE = 4.0  # standard deviations
 _LEAST = 0.03  # of a gain that is worth a word

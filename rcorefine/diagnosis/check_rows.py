@@ -21,20 +21,6 @@ from ..models.operating_point import Controller, answer, unrecorded
 from ..results import Result, Row
 from ..systems.linear import Array, LinearModel
 
-__all__ = [
-    "LOOK",
-    "OK",
-    "STOP",
-    "Check",
-    "CheckRow",
-    "Detectable",
-    "controller_rows",
-    "feedback_rows",
-    "sampling_rows",
-    "signal_rows",
-    "warned",
-]
-
 _MOST, _LONG = 4, 150  # rows that are named above another result; letters of the first one there
 _OF_THE_FREE_RUN = ("delay", "drift", "gain", "level", "rectified", "stops", "units")
 

@@ -40,8 +40,6 @@ from .beside import Beside
 from .case import not_held
 from .residual_tests import TestedResidual, overall, run_tests
 
-__all__ = ["Confirmation", "confirm"]
-
 _FINER = 5  # refinements of the substep at most
 _ROUNDS = 3  # descents, each under the whitening of the one before
 

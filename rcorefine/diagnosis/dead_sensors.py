@@ -26,8 +26,6 @@ from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
-__all__ = ["without_dead_sensors"]
-
 _LONG = 0.05  # of the record, from which one value that repeats is a sensor that has stopped
 _NOISY = 0.01  # repeated samples elsewhere, up to which the sensor has noise that never repeats
 _LAGS = 100

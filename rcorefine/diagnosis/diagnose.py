@@ -43,8 +43,6 @@ from .search import Search, is_gain
 from .verdict import Answer, TableRow, answer, detectable, ranking, table, undetermined
 from .words import determined, numbers_that_moved, percent
 
-__all__ = ["about_hold", "diagnose", "open_force", "with_offsets"]
-
 _OTHER_AMPLITUDE = 1.3  # amplitude over that of another record
 
 

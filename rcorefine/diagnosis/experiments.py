@@ -39,7 +39,6 @@ from .separation import Contender, Plan, Separation, sensor_rows, separation
 if TYPE_CHECKING:
     from .result import Diagnosis
 
-__all__ = ["ExperimentAdvice", "ExperimentOption", "in_band", "suggest"]
 
 _COSTS = {"repeat": 1.0, "amplitude": 1.5, "band": 2.0, "longer": 1.0, "sensor": 6.0}
 _MOST = 8  # contenders that are simulated

@@ -23,8 +23,6 @@ from .noise import Noise, noise_of, rounding_step
 from .nuisances import Nuisance, Parameters, UnmeasuredForce
 from .residual_tests import TestedResidual
 
-__all__ = ["Hypothesis", "Start", "Trial", "evidence", "likeliest_noise", "unphysical", "weighted"]
-
 #: Prior probability of each relative standard deviation (spread) of the parameters.
 SPREADS = {0.05: 0.6, 0.2: 0.3, 1.0: 0.1}
 

@@ -44,8 +44,6 @@ from .result import Improvement, Step
 from .search import Search
 from .verdict import estimates, table, undetermined
 
-__all__ = ["improve"]
-
 _JUDGED, _SETTLED = 30, 10  # sets compared by the error on the second part; most sets refitted of them
 
 

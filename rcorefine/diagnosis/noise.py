@@ -17,8 +17,6 @@ from ..systems.linear import Array
 from ..words import frequency_text
 from .residual_tests import TestedResidual
 
-__all__ = ["Noise", "is_drowned", "left_to_noise", "noise_of", "rounding_step", "spectral_line"]
-
 _MEDIAN = 0.45  # median of the square of a standard normal variable
 _DISTINCT, _ON_STEP = 0.6, 0.9  # rounded: most distinct values, least values on a whole step (shares)
 _SPREADS = np.logspace(-1.5, 1.5, 25)  # standard deviations of the noise before rounding, in steps

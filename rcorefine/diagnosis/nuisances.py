@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
-from ..data.measurement import HOLDS
+from ..data import HOLDS
 from ..effects.bodies import Mass
 from ..effects.effect import Effect
 from ..exceptions import IdentifiabilityWarning, unheard
@@ -24,17 +24,6 @@ if TYPE_CHECKING:
     from .case import Case
     from .hypothesis import Trial
 
-__all__ = [
-    "Hold",
-    "NoisyInputs",
-    "Nuisance",
-    "Parameters",
-    "UnmeasuredForce",
-    "between_steps",
-    "likely_forces",
-    "parameters_of",
-    "with_fitting_priors",
-]
 
 _STRONG = 75.0  # fit in percent below which the parameters are searched for in a wide range
 _SEEN = 0.5  # least relative reduction of the prior variance of a determined combination

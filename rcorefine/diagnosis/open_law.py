@@ -25,8 +25,6 @@ from .beside import channel_curve, curve_at, curve_columns, motion_at
 from .hypothesis import Trial
 from .residual_tests import TestedResidual, likely_places
 
-__all__ = ["FreeForces", "HiddenForce", "OpenLaw", "SingleFits", "hidden_force", "open_law"]
-
 _NAMES = {
     Tabulated.name: "unknown force",
     InputCurve.name: "unknown curve",

@@ -21,8 +21,6 @@ from ..systems.linear import Array
 from .hypothesis import Hypothesis, Start, Trial, evidence, likeliest_noise, weighted
 from .noise import Noise
 
-__all__ = ["Fitter", "imitations"]
-
 _SHARES = (1.0, 0.4, 0.1)  # shares of the starting sizes: the linear solution may diverge
 _STEP = 0.25  # standard deviations that halving the substep may shift a coefficient
 _WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a jump is smoothed
@@ -70,7 +68,7 @@ class Fitter:
     def placed(
         self, effects: Sequence[Effect], base: FittedModel, starts: Sequence[Start]
     ) -> list[tuple[Problem, Array]]:
-        """Return the estimation problem of effects at a base, with each of several starts.
+        """Return the problem of effects at a base, with each of several starts.
 
         Starts with the same widths share one problem.
         """

@@ -30,18 +30,6 @@ from ..inference.starts import Motion
 from ..inference.whitening import Whitener, huber_weights
 from ..systems.linear import Array
 
-__all__ = [
-    "TestedResidual",
-    "in_race",
-    "in_rows",
-    "likely_places",
-    "over_frequency",
-    "overall",
-    "passed_without_library",
-    "passes",
-    "run_tests",
-]
-
 _LAGS = 41
 _POWER_LAGS = {2: 21, 3: 6}
 _SHOWN = ("other laws", "changes with time")  # in front of the other tests

@@ -25,7 +25,6 @@ from .words import sentences
 if TYPE_CHECKING:
     from .experiments import ExperimentAdvice
 
-__all__ = ["Diagnosis", "Improvement", "RankedEffect", "Step", "next_step"]
 
 _EXCLUDED = 0.01  # probability below which a place is none
 

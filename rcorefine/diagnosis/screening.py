@@ -17,8 +17,6 @@ from ..inference.whitening import Whitener
 from ..systems.linear import Array
 from .hypothesis import Start
 
-__all__ = ["Metric", "Screen", "compatible"]
-
 _FLAT = 1e-4  # least share of a column outside the span of parameters, offsets and initial states
 _MOST_RECORDS = 8  # most records whose initial states are solved for together
 

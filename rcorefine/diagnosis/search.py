@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..data.measurement import HOLDS
+from ..data import HOLDS
 from ..data.records import at_rest
 from ..effects.effect import Effect
 from ..exceptions import DivergenceError, ModelError
@@ -34,8 +34,6 @@ from .nuisances import (
 from .refits import Fitter, imitations
 from .residual_tests import in_race, passed_without_library, run_tests
 from .screening import Metric, Screen, compatible
-
-__all__ = ["Search", "is_gain", "is_number"]
 
 FITTED_SPREAD = 0.2  # prior standard deviation of re-estimated parameters, relative to their size
 _SOUGHT, _BATCH = 4, 2  # effects of each ranking sought in another local minimum; of them at a time

@@ -28,8 +28,6 @@ from ..inference.windows import windows
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
-__all__ = ["Contender", "Plan", "Separation", "sensor_rows", "separation", "with_sensor"]
-
 _REFITS = 6  # Gauss-Newton steps of a rival towards what it is to imitate
 _PLAIN = 100.0  # squared distance at which rivals are separate beyond doubt
 _DRAWS = 4000

@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["between", "likely"]
-
 #: Size of each unit of a quantity, by the names that messages use.
 _SIZES = {
     "rate": {"rad/s": 1.0, "rpm": 2 * np.pi / 60, "Hz": 2 * np.pi},

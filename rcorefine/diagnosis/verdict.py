@@ -23,18 +23,6 @@ from .residual_tests import TestedResidual
 from .result import RankedEffect
 from .search import Search, is_gain, is_number
 
-__all__ = [
-    "Answer",
-    "TableRow",
-    "answer",
-    "detectable",
-    "estimates",
-    "ranking",
-    "special",
-    "table",
-    "undetermined",
-]
-
 
 @dataclass(frozen=True, eq=False)
 class TableRow:

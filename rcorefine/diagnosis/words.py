@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from ..inference.f_tests import FTest
     from .result import Diagnosis
 
-__all__ = ["determined", "failed_test", "no_test_fires", "numbers_that_moved", "percent", "sentences"]
 
 _VERDICTS = {
     "adequate": "This record shows no missing effect.",

@@ -21,8 +21,6 @@ from .engine import Engine
 from .harmonic_balance import Balance, SteadyState
 from .simulation import structure_of
 
-__all__ = ["AmplitudeResponse", "frequency_response_at"]
-
 _HARMONICS = 15
 _MOST_HARMONICS = 1000
 _AFAR, _APPROACH = 0.3, 30

@@ -24,8 +24,6 @@ from .free_runs import runs_away
 if TYPE_CHECKING:
     from .structure import Structure
 
-__all__ = ["as_it_runs", "loop_gain", "open_loop", "own_states", "sample_jumps", "start_columns"]
-
 
 def own_states(structure: Structure) -> NDArray[np.int64]:
     """Indices of the states that are not a controller's."""

@@ -26,8 +26,6 @@ from .linear import Corrections, simulate_linear
 from .setting import Setting, setting
 from .structure import Structure
 
-__all__ = ["MOST_SUBSTEPS", "Engine", "Trajectory"]
-
 MOST_SUBSTEPS = 10_000  # of a sample: beyond, no model is one
 
 # times the largest value of an output in the record: no model of it goes there; where a right-hand side that
@@ -211,12 +209,16 @@ class Engine:
     def _march(
         self, at: Setting, drive: Drive, observer: Corrections, x: Array, into: tuple[Any, ...]
     ) -> int:
-        """March over the record; the laws leave their forces in the last array of `into`."""
+        """March over the record.
+
+        The laws leave their forces in the last array of `into`.
+        """
         s = self.structure
         z = np.zeros(s.n_ports + s.n_outputs)
         given: list[Any] = [*at.substep, *at.laws, *drive, *observer, self._resets, *at.outputs, x, z, *into]
+        given += [_BEYOND, self._far, *at.field]
         with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
-            blew_up: int = kernels.march(*given, _BEYOND, self._far, *at.field)
+            blew_up: int = kernels.march(*given)
         raise_pending()
         return blew_up
 

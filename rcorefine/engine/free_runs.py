@@ -14,8 +14,6 @@ from ..data.measurement import Measurement
 from ..exceptions import DataError
 from ..systems.linear import LinearModel
 
-__all__ = ["checked_horizon", "free_runs", "integrates", "runs_away"]
-
 _WINDOWS = 10  # of a record whose model integrates
 _GROWTH = 3.0  # log by which an unstable mode may grow over a free run: an error of its start as well
 

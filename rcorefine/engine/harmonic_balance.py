@@ -18,8 +18,6 @@ from ..systems.linear import Array
 from .kernels import law_over_period, memory_over_period
 from .structure import Structure
 
-__all__ = ["Balance", "SteadyState"]
-
 _LEAK = 1e-7  # of the frequency: an integrator leaks that much, so that its mean is defined
 _TIMES_FOR_JUMPS = 512
 _SAMPLES_PER_JUMP = 1.5  # a jumping force is spread over as many samples, so that its slope is seen

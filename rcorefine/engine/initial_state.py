@@ -18,8 +18,6 @@ from .engine import Engine
 from .observer import observer_gain
 from .structure import Structure
 
-__all__ = ["brief_modes", "estimate_initial_state"]
-
 _RATIOS = (0.1, 0.01)  # observer gains on the way to the free run, high to low
 _NEAR = 1e-3  # share of the cost by which a step on that way must lower it: it ends elsewhere anyway
 _BRIEF = 0.63  # what is left of a mode after a sample, if a hundredth is left after ten

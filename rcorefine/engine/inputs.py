@@ -14,7 +14,6 @@ from ..systems.linear import Array
 if TYPE_CHECKING:
     from .structure import Structure
 
-__all__ = ["BAND_LIMITED_FACTOR", "Drive", "InputSignal", "clock_drift", "interpolate_band_limited"]
 
 BAND_LIMITED_FACTOR = 4
 _HALF_LENGTH = 48  # taps of the sinc, in samples each side

@@ -1,4 +1,4 @@
-"""Loops over samples: a linear part in feedback with port laws, and laws over one period.
+"""Loops over samples: a linear part with port laws, laws over a period.
 
 Pure array functions, no objects and no checks. numba compiles them where it is
 installed; without it the same source runs as plain Python (`products.py` has two bodies).
@@ -11,8 +11,6 @@ import numpy as np
 from ..effects.compiled import COUNT, evaluate
 from ..jit import by_address, compiled, put, put_rows
 from .products import add, add_forcing, add_rows, apply, clear, multiply, solve_in_place, take
-
-__all__ = ["address_of_march", "law_over_period", "march", "march_at", "memory_over_period"]
 
 _OUTSIDE = 2e-5  # of `far`: within it what is left of an equation is rounding, as at rest
 _NO_FORCES = 1e-6  # of their squares: what is left of an equation that has no solution

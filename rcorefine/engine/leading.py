@@ -17,8 +17,6 @@ from .free_runs import integrates, runs_away
 from .observer import observer_gain
 from .structure import Structure
 
-__all__ = ["leading_gain", "leading_ratio", "steadying_ratio"]
-
 #: Unknown force over the measured one: at less, what sticks and slips would count to its last digit.
 _QUIET = 0.03
 _REGULAR = 4.0  # log: a regular motion drifts in phase, and gains one or two; over the top it is five or more

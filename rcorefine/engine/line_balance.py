@@ -18,8 +18,6 @@ from ..systems.linear import Array
 from .kernels import law_over_period
 from .structure import Structure
 
-__all__ = ["LineBalance", "remembering"]
-
 Complex = NDArray[np.complex128]
 _HARMONICS, _HARMONICS_FOR_JUMPS = 5, 9
 _TIMES, _TIMES_FOR_JUMPS = 48, 256

@@ -19,8 +19,6 @@ from ..systems.linear import Array
 from .inputs import Drive
 from .linear_march import linear_march
 
-__all__ = ["LinearStep", "linear_responses", "recursion", "simulate_linear"]
-
 _FEW = 12  # samples that are cheaper one by one
 _LARGE = 1e60  # entries of a power of the transition: beyond, one by one, so that the overflow has its sample
 _AT_ONCE = 60_000  # numbers that are carried together: more leave the cache of the processor
@@ -51,7 +49,17 @@ class LinearStep(NamedTuple):
 
 
 class Corrections(NamedTuple):
-    """Measured outputs (N, n_y), which of them correct the states (N, n_y), and the gain (n, n_y)."""
+    """Corrections of the states by an observer.
+
+    Attributes
+    ----------
+    measured : ndarray, shape (N, n_y)
+        Measured outputs.
+    use : ndarray of uint8, shape (N, n_y)
+        Which of them correct the states.
+    gain : ndarray, shape (n, n_y)
+        Observer gain.
+    """
 
     measured: Array
     use: NDArray[np.uint8]
@@ -59,7 +67,7 @@ class Corrections(NamedTuple):
 
     @property
     def stretches(self) -> list[tuple[slice, Array]]:
-        """Return stretches of samples with one pattern of corrections, and their gains."""
+        """Return stretches with one pattern of corrections, and their gains."""
         use = self.use
         changes = np.flatnonzero((use[1:] != use[:-1]).any(axis=1)) + 1
         edges = [0, *changes.tolist(), len(use)]
@@ -115,7 +123,7 @@ def _marched(
     Phi: Array, C: Array, stretches: list[tuple[slice, Array]], start: Array, added: Array, direct: Array,
     measured: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Return the states (n, N, k) before and after the corrections at the samples.
+    """Return the states (n, N, k) before and after their corrections.
 
     `added`, shape (n, N - 1, k), comes to the states over a sample, `direct`, (n_y, N, k), to the outputs.
     """
@@ -196,7 +204,7 @@ def _in_blocks(
         one[:, :, 0] for one in _marched(over.Phi, C, stretches, x[:, None], added, direct, measured)
     )
     outputs, states = (C @ before + direct[:, :, 0]).T, after.T.copy()
-    inside = (np.abs(outputs) <= far).all(axis=1)
+    inside: NDArray[np.bool_] = np.all(np.abs(outputs) <= far, axis=1)
     inside[1:] &= (np.abs(before[:, 1:]) < limit).all(axis=0)
     blew_up = -1 if inside.all() else int(inside.argmin())
     sensitivity = np.zeros((N, len(C), p))
@@ -237,7 +245,7 @@ class _Sample:
         return _times(self._input, ends)
 
     def gathered(self, pushes: Array) -> Array:
-        """Return what pushes (n, N - 1, substeps, k) add over each sample, (n, N - 1, k)."""
+        """Return what pushes (n, N - 1, substeps, k) add over each sample."""
         last = pushes.shape[2] - 1
         found = pushes[:, :, last]
         for j in range(last):
@@ -254,13 +262,16 @@ class _Sample:
 
 
 def _ends(W: Array, course: int, substeps: int) -> Array:
-    """Return the inputs at both ends of each substep, (2 n_w, N - 1, substeps); see `Drive`."""
+    """Return the inputs at both ends of each substep.
+
+    The shape is (2 n_w, N - 1, substeps); see `Drive`.
+    """
     before, after = {0: (W, W), 1: (W[:-1], W[1:]), 2: (W[::2], W[1::2])}[course]
     return np.concatenate([before, after], axis=1).T.reshape(2 * W.shape[1], -1, substeps)
 
 
 def _by_each(maps: Array, signals: Array) -> Array:
-    """Return each of q maps (q, a, b) of signals (b, ...), in shape (a, ..., q)."""
+    """Return q maps (q, a, b) of signals (b, ...), stacked last."""
     found = maps.reshape(-1, len(signals)) @ signals.reshape(len(signals), -1)
     return np.moveaxis(found.reshape(*maps.shape[:2], *signals.shape[1:]), 0, -1)
 

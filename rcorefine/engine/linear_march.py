@@ -10,8 +10,6 @@ import numpy as np
 from ..jit import compiled, put, put_rows
 from .products import add_forcing, add_rows, apply, clear, take
 
-__all__ = ["linear_march"]
-
 
 @compiled
 def _enter(dw, at, dW, row, driven):

@@ -18,8 +18,6 @@ from .point import act_scales, tangents
 if TYPE_CHECKING:
     from .structure import Structure
 
-__all__ = ["Matrices", "continuous_matrices", "entry_among", "site_of"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matrices:

@@ -19,8 +19,6 @@ from .controlled import open_loop
 from .point import field_numbers
 from .structure import Structure
 
-__all__ = ["nonlinear_system"]
-
 
 def nonlinear_system(structure: Structure, theta: Array, name: str | None = None) -> ct.NonlinearIOSystem:
     """Continuous-time nonlinear system of a structure.

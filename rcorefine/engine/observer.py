@@ -15,8 +15,6 @@ from .controlled import open_loop, own_states
 from .point import about_point
 from .structure import Structure
 
-__all__ = ["SteadyFilter", "existing_gain", "observer_gain", "steady_filter"]
-
 _ROUNDS = 100
 _HORIZON = 300  # samples, where no steady solution exists
 

@@ -1,4 +1,4 @@
-"""Linear models of what is nonlinear: at the operating point, and along a motion."""
+"""Linear models of nonlinear ones: at a point, and along a motion."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 _ROUNDING = 1e-9  # of the largest value at the point
 _STEP = 1e-4  # of a coefficient, for the derivative of a tangent by it
-
-__all__ = ["about_point", "act_scales", "field_numbers", "linearized", "resting", "tangents"]
 
 
 def resting(structure: Structure, place: str) -> tuple[float, float] | None:

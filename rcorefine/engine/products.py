@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from ..jit import NUMBA, compiled, inlined
 
-__all__ = ["add", "add_forcing", "add_rows", "apply", "clear", "multiply", "solve_in_place", "take"]
-
 if NUMBA:
 
     @inlined

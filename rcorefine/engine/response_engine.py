@@ -24,8 +24,6 @@ from .line_balance import LineBalance, remembering
 from .structure import Structure
 from .substep import TINY_STEP, tiny_steps
 
-__all__ = ["ResponseEngine", "channel_signal", "engine_on", "is_linear", "port_phasors", "sampled"]
-
 Complex = NDArray[np.complex128]
 _PHASES = 16  # of a period of a sine
 _BATCH = 4_000_000  # complex numbers at once (64 MB)

@@ -18,7 +18,6 @@ from .point import field_numbers
 if TYPE_CHECKING:
     from .structure import Structure
 
-__all__ = ["PIECES", "Setting", "setting"]
 
 PIECES = 16  # of a substep in which a friction force jumps
 

@@ -25,8 +25,6 @@ from .initial_state import estimate_initial_state
 from .leading import leading_gain
 from .structure import Structure
 
-__all__ = ["Simulation", "simulate", "simulated", "structure_of", "unjudged_samples"]
-
 _STILL, _MOST_STEPS = 1e-3, 64  # a run that doubled substeps move by less of its size has enough of them
 
 

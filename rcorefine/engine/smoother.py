@@ -15,8 +15,6 @@ from ..jit import compiled, put
 from ..systems.linear import Array
 from .observer import SteadyFilter, steady_filter
 
-__all__ = ["Smoothed", "smooth"]
-
 
 @dataclass(eq=False)
 class Smoothed:

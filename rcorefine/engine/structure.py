@@ -28,7 +28,6 @@ from .matrices import Matrices, continuous_matrices, site_of
 from .point import about_point
 from .substep import Discrete, discretized
 
-__all__ = ["Parameter", "Structure"]
 _KEPT = 8  # of what hangs on the coefficients: with and without derivatives, whole and in pieces
 _Made = TypeVar("_Made")
 

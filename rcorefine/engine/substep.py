@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from .matrices import Matrices
     from .structure import Structure
 
-__all__ = ["TINY_STEP", "Discrete", "discretized", "tiny_steps"]
 
 TINY_STEP = 1e-30  #: of the imaginary parts by which derivatives are taken
 

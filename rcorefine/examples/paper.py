@@ -24,8 +24,6 @@ from ..systems import (
 )
 from ..systems.linear import Array
 
-__all__ = ["FORMS", "Example", "one_dof", "rlc", "rlc_parameters", "two_dof"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Example:

@@ -30,8 +30,6 @@ from ..writing import replacing
 from .hiding import LEVELS, TRAINING, Accepted, hide
 from .plants import PLANTS, record_of
 
-__all__ = ["Exercise", "Mark", "hidden_effect", "is_sealed", "load_exercise", "sealed"]
-
 _ROUNDS = 5_000  # of the key derivation: a millisecond for each comparison
 _GRID = 0.01  # of the logarithm of a coefficient
 

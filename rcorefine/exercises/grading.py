@@ -18,8 +18,6 @@ from ..results import Reported, Row
 from ..writing import replacing
 from .exercise import Exercise, load_exercise
 
-__all__ = ["Grade", "Grades", "grade"]
-
 _COLUMNS = ("student", "file", "plant", "level", "answer", "effect", "coefficient", "points", "remark")
 
 

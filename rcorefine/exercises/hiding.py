@@ -20,8 +20,6 @@ from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .plants import Plant, hidden_outputs, noisy, record_of
 
-__all__ = ["LEVELS", "TRAINING", "Accepted", "Hidden", "hide"]
-
 #: Share of the outputs that the model misses, and the noise of the sensors.
 LEVELS = {1: (0.30, 0.01), 2: (0.15, 0.02), 3: (0.08, 0.03)}
 

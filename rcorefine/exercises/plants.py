@@ -22,8 +22,6 @@ from ..models.library import effect_library
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
-__all__ = ["PLANTS", "Plant", "hidden_outputs", "noisy", "record_of"]
-
 _SUBSTEPS = 16
 
 

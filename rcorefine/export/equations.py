@@ -17,8 +17,6 @@ from ..exceptions import ModelError
 from ..models.operating_point import refuse_point
 from ..systems.linear import Array
 
-__all__ = ["Equations", "Term", "equations_of"]
-
 
 @dataclass(frozen=True, slots=True)
 class Term:

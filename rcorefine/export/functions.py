@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 
 from ..exceptions import ModelError
 
-__all__ = ["LANGUAGES", "Language", "translated"]
-
 _SAME = frozenset("tanh exp sqrt sin cos tan sinh cosh asin acos atan atan2 log log10 floor".split())
 _BUILT_IN = frozenset(("abs", "max", "min", "float"))
 _SIGNS: dict[type[ast.operator], str] = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/"}

@@ -19,7 +19,6 @@ from .functions import translated
 if TYPE_CHECKING:
     from ..engine.structure import Structure
 
-__all__ = ["PROGRAMS", "CodeExports"]
 
 _Lines = list[tuple[str, str]]
 

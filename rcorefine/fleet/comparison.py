@@ -17,8 +17,6 @@ from ..results import Row
 from ..systems.linear import Array
 from . import pooling
 
-__all__ = ["Estimate", "FleetEffect", "MachineEffect", "SurveyRow", "Trend", "fleet_effects", "trends"]
-
 
 @dataclass(frozen=True, slots=True)
 class Estimate(Row):

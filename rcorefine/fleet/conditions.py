@@ -21,8 +21,6 @@ from .comparison import FleetEffect, MachineEffect
 if TYPE_CHECKING:
     from .result import Survey
 
-__all__ = ["Breach", "breaches"]
-
 
 @dataclass(frozen=True, slots=True)
 class Breach:

@@ -22,8 +22,6 @@ import control as ct
 
 from ..arguments import shown
 
-__all__ = ["as_submitter", "work_off"]
-
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 

@@ -29,8 +29,6 @@ from ..models.reading import read_model
 from .comparison import SurveyRow
 from .tasks import TASKS, estimate_again
 
-__all__ = ["Piece", "again", "examine", "model_for", "pieces_of"]
-
 _MODELS = (".toml", ".npz", ".mat")
 _PREFIX = "rcorefine."
 

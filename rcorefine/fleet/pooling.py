@@ -19,10 +19,6 @@ from scipy import stats
 
 from ..systems.linear import Array
 
-__all__ = [
-    "LEAST", "LEAST_TIMES", "Course", "Pooled", "deviations", "pool", "shrunk", "slopes", "standing_out",
-]  # fmt: skip
-
 #: Machines from which on one can be told from the others: three that it is compared with.
 LEAST = 4
 #: Records of one machine from which on a line through them leaves something over.

@@ -21,8 +21,6 @@ from ..words import chance, counted, with_error
 from .comparison import FleetEffect, MachineEffect, SurveyRow, Trend
 from .conditions import Breach, breaches
 
-__all__ = ["Survey"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey(Result):

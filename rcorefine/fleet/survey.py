@@ -24,8 +24,6 @@ from .pieces import Piece, again, examine, pieces_of
 from .result import Survey
 from .tasks import TASKS
 
-__all__ = ["ASKED", "survey"]
-
 _MODES = ("common", "own")
 _MOST = 6  # effects of a fleet that one record is asked for together
 #: The function behind each task, which says what options there are.

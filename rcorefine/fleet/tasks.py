@@ -15,9 +15,6 @@ from ..localization.localize import localize_damage
 from ..refinement.refine import refine
 from .comparison import Estimate
 
-__all__ = ["TASKS", "estimate_again"]
-
-
 _Leading = tuple[str | None, str | None]  # kind and place of an effect
 
 

@@ -26,16 +26,6 @@ from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .refinement import Refinement
 
-__all__ = [
-    "assemble",
-    "check_settings",
-    "nominal_size",
-    "offset_variants",
-    "offsets_everywhere",
-    "priors",
-    "unfold",
-]
-
 _OFF = {"inputs": 1.0, "outputs": 10.0}  # sd of an offset over the rms of the signal: sensors are off by more
 _LOOSE = 30.0  # relative sd of a linear parameter that floats freely
 

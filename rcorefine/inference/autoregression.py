@@ -12,8 +12,6 @@ from scipy.linalg import cholesky, solve_triangular
 
 from ..systems.linear import Array
 
-__all__ = ["MAX_ORDER", "autoregression", "highest_order", "stable_model"]
-
 MAX_ORDER = 20
 _RIDGE = 1e-13  # of the signal's power: rounding of the sums of products stays below it
 

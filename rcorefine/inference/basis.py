@@ -14,8 +14,6 @@ from scipy.linalg import solve_triangular
 
 from ..systems.linear import Array
 
-__all__ = ["Basis", "as_basis", "in_own_units", "lengths", "project", "rank_basis"]
-
 _RANK = 3e-7  # singular value, relative, below which a direction is none
 _SURE = 1e-6  # eigenvalue of the Gram matrix, relative, above which its directions are orthogonal at once
 

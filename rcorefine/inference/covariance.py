@@ -17,18 +17,6 @@ from scipy.signal import lfilter
 from ..systems.linear import Array
 from .autoregression import autoregression, stable_model
 
-__all__ = [
-    "Uncertainty",
-    "colored",
-    "covariance",
-    "parameter_uncertainty",
-    "pseudo_inverse",
-    "standard_deviations",
-    "unmoved",
-    "unseen_combinations",
-    "wald",
-]
-
 _UNSEEN = 1e-7  # singular value of the unit-column Jacobian below which a direction is not seen
 
 

@@ -15,8 +15,6 @@ from .evaluation import Evaluation
 from .problem import Problem
 from .whitening import Whitener
 
-__all__ = ["Descent", "descend", "remeasured"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Descent:

@@ -21,8 +21,6 @@ from .covariance import pseudo_inverse
 from .levels import levels
 from .refinement import Refinement
 
-__all__ = ["doubted", "explains_nothing", "stands_still"]
-
 _STILL = 1e-12  # of an output's size, below which it does not move
 _POOR, _GOOD = 50.0, 90.0  # fit in percent below which a swapped sign is tried; from which a fit is close
 _WITH = 0.2  # correlation with the initial model's run, from which on a sign is not in question

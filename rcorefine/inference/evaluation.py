@@ -17,8 +17,6 @@ from ..bordered import Bordered
 from ..systems.linear import Array
 from .whitening import Whitener
 
-__all__ = ["Evaluation"]
-
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:

@@ -13,8 +13,6 @@ from ..results import Row
 from ..systems.linear import Array
 from .basis import Basis, as_basis, in_own_units, lengths, project, rank_basis
 
-__all__ = ["FTest", "apart_test", "f_test", "projected_test", "unequal_variances"]
-
 _INSIDE = 1e-6  # share of a column, or sine of an angle, below which it lies in what was fitted
 _FEWEST = 10  # degrees of freedom that a test leaves at least
 

@@ -21,8 +21,6 @@ from .problem import Problem
 from .search import search, starting_states, sufficient_steps
 from .starts import Motion
 
-__all__ = ["Fit"]
-
 _ROUGHLY, _EXACTLY = 1e-7, 1e-12  # tolerances of a polish before and after the substep is settled
 
 

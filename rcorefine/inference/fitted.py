@@ -26,9 +26,6 @@ from .refinement import Refinement
 from .starts import Motion, law_widths
 from .whitening import Whitener
 
-__all__ = ["FittedModel", "coefficient_covariance", "evaluated", "fitted_from"]
-
-
 _STRONGER = 1e-3  # share of a gain
 
 

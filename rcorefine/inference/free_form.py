@@ -25,17 +25,6 @@ from .fitted import FittedModel
 from .sensitivities import force_responses
 from .whitening import Whitener
 
-__all__ = [
-    "Curve",
-    "Evidence",
-    "FreeForm",
-    "averaged_evidence",
-    "channel_signal",
-    "curve_responses",
-    "evidence",
-    "fit_free_form",
-]
-
 _COUNT = 15  # knots along each signal
 _ALIKE = 2.0  # rms of the motion over which neighbors are alike
 _SIZES = np.logspace(0.0, 10.0, 31)  # variance of the curve over that of the noise, tried

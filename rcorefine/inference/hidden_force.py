@@ -13,8 +13,6 @@ from ..systems.discretization import discretize
 from ..systems.linear import Array, LinearModel
 from .refinement import Refinement
 
-__all__ = ["estimated_force"]
-
 _LEVELS = np.logspace(-3, 1, 9)  # of the force that drives the estimate, tried by likelihood
 _MEMORY = (3.0, 12.0, 50.0)  # samples for which it lasts, tried too
 _TRIED_ON = 1000  # samples

@@ -9,9 +9,6 @@ from dataclasses import dataclass, fields
 
 import control as ct
 
-__all__ = ["Levels", "levels"]
-
-
 #: Levels of the comparisons that one table of hypotheses has replaced.
 _GONE = frozenset({
     "same_force", "departs", "force", "force_beside", "hopeless", "color", "color_left",

@@ -22,8 +22,6 @@ from .doubts import stands_still
 from .problem import Problem
 from .refinement import EstimatedParameter, Refinement
 
-__all__ = ["fit_of", "output_weights", "package"]
-
 _FLAT = 1e-9  # share of the cost: rounding, where the valley has led far away
 
 

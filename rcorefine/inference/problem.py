@@ -24,8 +24,6 @@ from ..systems.linear import Array
 from .evaluation import Evaluation
 from .whitening import Whitener
 
-__all__ = ["Coordinates", "Problem", "natural_sizes"]
-
 
 class Coordinates:
     """Coefficients and initial states, as a descent takes them.

@@ -23,8 +23,6 @@ from ..results import Options, ReportedModel, Row, picture, show
 from ..systems.linear import Array
 from ..words import estimate
 
-__all__ = ["EstimatedParameter", "Refinement"]
-
 
 @dataclass(frozen=True, slots=True)
 class EstimatedParameter(Row):

@@ -23,8 +23,6 @@ from .covariance import parameter_uncertainty
 from .problem import Problem
 from .starts import Motion, far_starts, shape_starts
 
-__all__ = ["by_logarithms", "search", "starting_states", "step_matters", "sufficient_steps"]
-
 _FLOOR = 0.1  # relative error that no point falls below here: all count, whatever their noise
 _POINTS, _FEW_POINTS = 400, 60  # of each response, linear or not
 _EVALUATIONS, _FEW_EVALUATIONS = 25, 6

@@ -21,15 +21,6 @@ from .fitted import FittedModel
 from .problem import Problem
 from .starts import Motion, law_widths, shape_starts
 
-__all__ = [
-    "Candidate",
-    "candidate_columns",
-    "force_responses",
-    "generic_forces",
-    "parameter_columns",
-    "slow_forces",
-]
-
 _DIVERGED = 1e100  # of the noise: its squares would be no numbers
 
 

@@ -24,16 +24,6 @@ from ..models.operating_point import sensed
 from ..systems.linear import Array
 from .problem import Problem
 
-__all__ = [
-    "Motion",
-    "common_lag",
-    "estimated_motion",
-    "far_starts",
-    "growing_lags",
-    "law_widths",
-    "shape_starts",
-]
-
 _MOST_DRIFT, _DRIFTS = 0.02, 300  # share by which clocks may run apart, and how many are tried on each side
 _SLIP = 0.5  # radians at the end of the record from one to the next
 

@@ -13,13 +13,6 @@ from ..exceptions import DataError
 from ..systems.linear import Array
 from .autoregression import autoregression
 
-__all__ = [
-    "Whitener",
-    "huber_weights",
-    "innovations",
-    "whitened",
-]
-
 _HUBER = 1.345  # times the standard deviation; of normal noise 95 % of the efficiency is kept
 _HEAVY = 5.0  # excess kurtosis, in its standard deviations, from which samples count as unequally noisy
 

@@ -18,8 +18,6 @@ from ..models.conversion import as_physical
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 
-__all__ = ["about_noise", "as_data", "check_validation", "spread_lines", "windows"]
-
 _LOOPED = "The model was fitted to predictions one sample ahead; compare and simulate run the closed loop."
 _PREDICTED = (
     "The motion is chaotic and cannot be simulated from the initial state (no free run). It is judged "

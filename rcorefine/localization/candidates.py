@@ -31,9 +31,6 @@ from .damage_map import HypothesisRow
 from .damping import RatioStructure
 from .estimate import Joint, log_likelihood
 
-__all__ = ["Candidate", "Setting", "as_candidates", "candidate_effects", "default_rule"]
-__all__ += ["named_hypotheses", "nominal_values", "rank_hypotheses"]
-
 
 @dataclass(frozen=True, slots=True)
 class Candidate:

@@ -16,8 +16,6 @@ from ..inference.f_tests import FTest
 from ..results import Options, Result, Row, picture, show
 from ..systems.linear import Array, LinearModel
 
-__all__ = ["DamageMap", "DamageRow", "HypothesisRow", "NuisanceRow", "overall"]
-
 
 def overall(tests: Sequence[FTest]) -> float:
     """Smallest p-value, corrected for the number of tests."""

@@ -15,8 +15,6 @@ from ..exceptions import ModelError
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
-__all__ = ["RATIO_NAMES", "RatioStructure", "mechanical_pairs", "square_root"]
-
 RATIO_NAMES = ("damping ratio", "share that follows")
 _ITERATIONS = 60
 

@@ -19,8 +19,6 @@ from ..systems.linear import Array
 from .candidates import Candidate
 from .estimate import Joint
 
-__all__ = ["Decision", "decide"]
-
 _APART = 15.0  # deviates by which a swap would worsen the fit, to first order, above which it is not tried
 
 

@@ -31,8 +31,6 @@ from ..inference.starts import far_starts
 from ..inference.whitening import Whitener
 from ..systems.linear import Array
 
-__all__ = ["Joint", "log_likelihood"]
-
 _POINTS = 250
 _WIDTHS = (4.0, 1.5)  # of the smoothing along the frequencies, wide to narrow
 _SINGLE = (-0.2, -0.4, -0.6, -0.75, -0.9)

@@ -53,8 +53,6 @@ from .damping import RATIO_NAMES, RatioStructure
 from .decision import Decision, decide
 from .estimate import Joint
 
-__all__ = ["localize_damage"]
-
 _CALIBRATION = 0.1  # relative sd of a sensor gain, where the record does not say
 _RULES = ("links", "ratio", "fixed")
 _OTHER_VALLEY = (

@@ -26,18 +26,6 @@ from .parameters import NominalParameter, combine_units
 from .physical_model import PhysicalModel
 from .ports import Port
 
-__all__ = [
-    "as_known",
-    "as_model",
-    "as_physical",
-    "from_nonlinear",
-    "is_nonlinear",
-    "known_physical",
-    "physical",
-    "ports",
-    "under_control",
-]
-
 _TIMES = (0.0, 1.7)  # at which a model that does not depend on time says the same
 _KNOWN: WeakKeyDictionary[Any, tuple[dict[str, Any], PhysicalModel]] = WeakKeyDictionary()
 

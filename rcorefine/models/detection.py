@@ -24,8 +24,6 @@ from .masses import MassScale, exchanging, relative_masses
 from .parameters import NominalParameter
 from .ports import Element, Port, port_at, row_of
 
-__all__ = ["recognized"]
-
 _SAME = 1e-6  # relative misfit of numbers that are the same
 _LEFT = 1e-9  # relative size of what cancellation leaves behind
 _ROUNDED = 2e-3  # and of what four digits of the entries leave of a coupling

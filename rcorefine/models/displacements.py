@@ -12,11 +12,6 @@ from scipy.sparse.csgraph import connected_components
 from ..systems.linear import Array, LinearModel
 from .ports import Element, port_at, row_of
 
-__all__ = [
-    "Displacement", "connected", "find_displacements", "find_modes", "is_companion", "of_masses",
-    "significant",
-]  # fmt: skip
-
 _SAME = 1e-3  # relative difference of entries that rounding to four digits explains
 
 

@@ -23,8 +23,6 @@ from .conversion import as_physical
 from .physical_model import PhysicalModel
 from .ports import Port
 
-__all__ = ["describe_effects", "effect_library"]
-
 _MOST_ENTRIES = 20
 _ANGLE = re.compile(r"angle|theta|phi|psi|roll|pitch|yaw|swing", re.IGNORECASE)
 

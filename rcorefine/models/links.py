@@ -16,8 +16,6 @@ from .displacements import Displacement, connected, of_masses, significant
 from .masses import MassScale
 from .ports import Element, port_at
 
-__all__ = ["Declared", "find_links", "weighted"]
-
 _ROUNDING = 1e-3  # of the diagonal: what rounding to four digits leaves of a zero
 _MOST_GROUPED = 7  # displacements whose every grouping into bodies is tried
 _MOST_MERGED = 6  # pairs that may be one body, all choices of which are tried

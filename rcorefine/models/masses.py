@@ -13,8 +13,6 @@ from ..systems.linear import Array, LinearModel, balance
 from .displacements import Displacement, connected, is_companion, of_masses, significant
 from .ports import row_of
 
-__all__ = ["MassScale", "coupled_inverse", "exchanging", "relative_masses"]
-
 _LEFT = (1e-7, 2e-3)  # relative size of what is left of an equation: by arithmetic, by entries of four digits
 _SINGULAR = 1e-6  # smallest eigenvalue of a mass matrix with ones on its diagonal
 

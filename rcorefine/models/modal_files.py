@@ -17,8 +17,6 @@ from ..data.formats import damaged, read_uff_modes
 from ..exceptions import ConversionWarning, DataError, ModelError, warn
 from ..systems.linear import Array
 
-__all__ = ["modal_model"]
-
 _SENSORS = ("displacement", "velocity", "acceleration")
 _NORMAL, _COMPLEX = 2, (3, 7)  # what an analysis of type 55 was
 _DEGREE = re.compile(r"(\d+):([+-]?[1-6])")

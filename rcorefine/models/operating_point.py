@@ -22,10 +22,6 @@ from ..systems.linear import Array, LinearModel
 if TYPE_CHECKING:
     from .physical_model import PhysicalModel
 
-__all__ = [
-    "Controller", "OperatingPoint", "answer", "as_controller", "as_operating_point", "check_stream_hold",
-    "completed", "ordered_record", "refuse_discrete", "refuse_point", "sensed", "start_above", "unrecorded",
-]  # fmt: skip
 
 _DEFAULT = re.compile(r"[uyx]\[\d+\]")
 

@@ -23,7 +23,6 @@ from ..systems.linear import Array, entry_of
 if TYPE_CHECKING:
     from .physical_model import PhysicalModel
 
-__all__ = ["NominalParameter", "combine_units", "independent_parameters", "parse_unit"]
 
 # what people write instead of the quotient
 _ALIASES = {

@@ -10,7 +10,8 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_array, as_choice, as_instance, as_list, as_text, as_texts, shown
-from ..data.measurement import HOLDS, Measurement
+from ..data import HOLDS
+from ..data.measurement import Measurement
 from ..data.records import as_record
 from ..effects.bodies import Entry
 from ..effects.effect import Effect
@@ -20,8 +21,6 @@ from ..systems.linear import Array, LinearModel, entry_of
 from .operating_point import Controller, OperatingPoint
 from .parameters import NominalParameter, combine_units
 from .ports import Port
-
-__all__ = ["PhysicalModel"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,8 +15,6 @@ from ..exceptions import ModelError
 from ..results import Row
 from ..systems.linear import Array, LinearModel
 
-__all__ = ["Element", "Port", "felt", "port_at", "row_of"]
-
 _TEXTS = ("kind", "position_unit", "velocity_unit", "force_unit", "description")
 _ARRAYS = ("act", "position", "position_input", "velocity", "velocity_input", "acceleration_input")
 

@@ -26,8 +26,6 @@ from . import builders
 from .conversion import physical
 from .physical_model import PhysicalModel
 
-__all__ = ["MATRICES", "SUFFIXES", "builder_names", "read_matrix", "read_model"]
-
 SUFFIXES = (".csv", ".mtx", ".npy")
 #: Table of a TOML file that holds matrices; the others are named like the builders.
 MATRICES = "state_space"

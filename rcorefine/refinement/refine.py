@@ -29,8 +29,6 @@ from ..models.operating_point import ordered_record, start_above
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
-__all__ = ["base_fit", "refine", "refit"]
-
 
 def refine(
     model: Any,

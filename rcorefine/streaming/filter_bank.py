@@ -26,8 +26,6 @@ from .persistence import check_like, storable
 from .rcmr.kernels import free_run_cost
 from .samples import Block
 
-__all__ = ["FilterBank"]
-
 INITIAL = "initial"
 _WILD = "!"  # after the name of a form: its model as it is, however fast it grows
 _FIRST, _LONGEST = 32, 2048  # samples of the first stretch, and of the longest

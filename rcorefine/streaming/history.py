@@ -14,8 +14,6 @@ from scipy.optimize import linear_sum_assignment
 from ..results import Options, picture, show
 from ..systems.linear import Array, LinearModel
 
-__all__ = ["PARAMETERS", "CoefficientHistory", "History", "Summary", "joined", "pole_samples", "poles_of"]
-
 #: Headings of the table of parameters.
 PARAMETERS = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
 _POINTS = 200  # at which poles are given over time

@@ -30,8 +30,6 @@ from .rcmr.paper import PaperStages
 from .rcmr.setup import Scales, Settings, as_settings, correction_path, make_setup
 from .samples import Block, Sampled, as_size
 
-__all__ = ["assembled"]
-
 _PENDING = 32  # single samples that wait for one another (race, stage 1) until a result is asked for
 
 

@@ -30,8 +30,6 @@ from ..models.ports import Port
 from ..systems.linear import LinearModel
 from ..writing import replacing
 
-__all__ = ["check_course", "check_like", "check_range", "check_schema", "read_file", "storable", "write_file"]
-
 SCHEMA = 1  # of the file; raised when an older reader could misread it
 _META = "meta"
 _KINDS: dict[str, Any] = {

@@ -35,8 +35,6 @@ from .samples import (
     whole_block,
 )
 
-__all__ = ["RCORefiner", "alone"]
-
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 _locks: WeakValueDictionary[int, Any] = WeakValueDictionary()  # of all objects that live
 _forking, _held = threading.Lock(), list[Any]()

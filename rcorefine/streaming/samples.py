@@ -19,11 +19,6 @@ from ..systems.conversion import to_discrete
 from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array, LinearModel
 
-__all__ = [
-    "Block", "Sampled", "as_matrix", "as_missing", "as_rate", "as_samples", "as_size", "check_samples",
-    "checked_block", "checked_record", "sampled_model", "whole_block",
-]  # fmt: skip
-
 
 def as_size(value: Any, name: str, least: int, meaning: str) -> int:
     """Whole number that is not below `least`."""

@@ -11,8 +11,6 @@ from ..exceptions import ModelError
 from .discretization import balanced
 from .linear import Array, LinearModel
 
-__all__ = ["characteristic_polynomial", "observable_form"]
-
 _EPS = float(np.finfo(float).eps)
 
 

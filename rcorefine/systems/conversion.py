@@ -14,8 +14,6 @@ from ..exceptions import ConversionWarning, ModelError, warn
 from .discretization import balanced, check_sampling_time, discretize, power_of_two
 from .linear import Array, LinearModel, balance
 
-__all__ = ["d2c", "growth", "nearest_continuous", "stabilized", "to_discrete"]
-
 # Two sampling times that agree this well are the same (time columns are rounded).
 SAME_DT = 1e-6
 # Angle of a discrete pole, as a fraction of pi, beyond which aliasing is suspected.

@@ -13,8 +13,6 @@ from ..arguments import as_choice, as_number
 from ..exceptions import ModelError
 from .linear import Array, balance, check_finite
 
-__all__ = ["HOLDS", "balanced", "check_sampling_time", "discretize", "exponential", "power_of_two"]
-
 HOLDS = ("zoh", "foh")
 # Higham, SIAM J. Matrix Anal. Appl. 26 (2005) 1179, table 2.3: degree 9 is exact to
 # double precision up to a 1-norm of 2.1.

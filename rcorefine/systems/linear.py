@@ -15,8 +15,6 @@ from scipy.linalg.lapack import dgebal
 from ..arguments import as_text
 from ..exceptions import ConversionWarning, ModelError, warn
 
-__all__ = ["Array", "LinearModel", "balance", "check_finite", "entry_of", "realized"]
-
 Array = NDArray[np.float64]
 
 

@@ -17,8 +17,6 @@ from .conversion import to_discrete
 from .discretization import check_sampling_time
 from .linear import Array, LinearModel
 
-__all__ = ["as_sampled", "bode_error", "default_omega", "frequency_response", "hold_factor"]
-
 # Complex numbers that one batch may hold (32 MB).
 _BATCH = 2_000_000
 

@@ -17,9 +17,6 @@ from .frequency import band_columns
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
 
-__all__ = ["distortions", "input_laws", "level_dependence"]
-
-
 _Law = Callable[[Array, float], Array]
 # What an input does beside the model's input where it has a level g, and the region.
 _LEVELS: tuple[tuple[str, _Law, str], ...] = (

@@ -17,8 +17,6 @@ from ...words import frequency_text, phase_text
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
 
-__all__ = ["band_columns", "bands", "modes"]
-
 _MOST_TOGETHER = 8
 _BANDS = 20
 _HALF = 0.4  # share of the largest deviation that still belongs to the band

@@ -16,8 +16,6 @@ from ...inference.autoregression import highest_order
 from ...inference.whitening import Whitener
 from ...systems.linear import Array
 
-__all__ = ["Explanation", "ResidualLikelihood"]
-
 # Differences below this share of an output are rounding, not evidence.
 _FLOOR = 1e-7
 _ROUNDING = 1e-10  # of a signal, below which what is left of it says nothing

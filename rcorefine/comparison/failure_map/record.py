@@ -22,8 +22,6 @@ from .likelihood import Explanation, ResidualLikelihood
 if TYPE_CHECKING:
     from ..result import Comparison
 
-__all__ = ["DIMENSIONS", "Finding", "ModelOnRecord", "Places", "given_places"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:

@@ -26,7 +26,6 @@ from .time import clipping, delays, drifts, pinned, signs, stretches
 if TYPE_CHECKING:
     from ..result import Comparison
 
-__all__ = ["Failure", "FailureMap", "failure_map"]
 
 # Share of the leader's part of the error from which on another row counts as a view of the same ...
 _RIVAL = 0.5

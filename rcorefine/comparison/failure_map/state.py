@@ -24,7 +24,6 @@ from .record import Finding, ModelOnRecord
 if TYPE_CHECKING:
     from ..result import Comparison
 
-__all__ = ["ResidualForce", "forces_at_places", "residual_force"]
 
 _MEMORY = 0.9  # of the unknown force, from one sample to the next
 _NOISE = 0.02  # sensor noise over the spread of an output, the unit of the force levels that are tried

@@ -15,8 +15,6 @@ from ...systems.linear import Array
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
 
-__all__ = ["clipping", "delays", "drifts", "pinned", "signs", "stretches"]
-
 _RESTING = 0.2  # share of a record above which its extreme is where the output rests
 _LEVEL = 0.1  # of its spread: what a record may rise above the level at which it is cut off
 _SLOW = 6  # half-waves over the record that count as drift

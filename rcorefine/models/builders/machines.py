@@ -14,8 +14,6 @@ from ..parameters import NominalParameter, combine_units
 from ..physical_model import PhysicalModel
 from ._equations import Equations, Reading, Row, as_number, as_sensors, total
 
-__all__ = ["dc_motor", "quarter_car"]
-
 
 def dc_motor(
     *,

@@ -13,8 +13,6 @@ from ..parameters import NominalParameter, combine_units
 from ..physical_model import PhysicalModel
 from ._equations import Equations, Reading, Row, as_index, as_indices, as_number, as_sensors, as_vector, total
 
-__all__ = ["series_rlc", "thermal_network", "two_tanks"]
-
 
 def series_rlc(
     R: float,

@@ -31,8 +31,6 @@ from ._assembly import (
 )
 from ._equations import as_index, as_vector
 
-__all__ = ["mass_spring_damper", "mechanical"]
-
 _SHIFT = 1e-8  # below zero, in the middle of the squared frequencies that each displacement has alone
 _DENSE = 200  # displacements, up to which all modes are as fast
 _SAME = 1e-6  # relative difference of squared frequencies that says nothing

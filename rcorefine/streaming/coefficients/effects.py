@@ -31,8 +31,6 @@ from .kernel import Kernel, Layout
 from .laws import Laws
 from .setup import CoefficientMemory, FilterSettings, Setup, checked_settings, floor_at, held_columns
 
-__all__ = ["make_effects_setup"]
-
 _LAG = 64  # samples that input delays look back on
 _FIRST = 50  # samples of the first stretch, at least
 _MARGIN = 1e-3  # of a bound that an estimate keeps off it

@@ -23,8 +23,6 @@ from ..rcmr.kernels import state_power
 from .kernel import Kernel, Layout
 from .setup import DOUBT, NEVER, CoefficientMemory, FilterSettings, Setup, advanced
 
-__all__ = ["FORMS", "all_entries", "correction", "named_entries", "no_entries", "nonzero_entries"]
-
 # Samples at which the first ones are gone over: a wrong start spoils what was learned from them.
 MILESTONES = (32, 64, 128, 256, 512, 1024, 2048)
 _TINY_STEP = 1e-30

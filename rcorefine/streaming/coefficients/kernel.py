@@ -28,8 +28,6 @@ from ...systems.linear import Array
 from ..samples import Block
 from .laws import Laws, drive, enter, fill, hold, inputs_of, keep_first, march_of, push, read, shift_matrices
 
-__all__ = ["DIVERGED", "DONE", "MOVED", "SURPRISED", "CoefficientRecord", "Kernel", "Layout"]
-
 
 @dataclass(frozen=True, slots=True)
 class Layout:

@@ -11,11 +11,6 @@ from ...effects.compiled import COUNT, evaluate
 from ...jit import compiled, put, put_rows
 from ...systems.linear import Array
 
-__all__ = [
-    "Laws", "drive", "enter", "fill", "hold", "inputs_of", "keep_first", "march_of", "push", "read",
-    "shift_matrices",
-]  # fmt: skip
-
 
 class Inputs(NamedTuple):
     """Inputs over the last interval, and room to find them.

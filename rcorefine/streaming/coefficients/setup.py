@@ -21,11 +21,6 @@ from ..persistence import check_course, check_like, check_range, storable
 from ..samples import Block
 from .kernel import DIVERGED, DONE, MOVED, SURPRISED, CoefficientRecord, Kernel, Layout
 
-__all__ = [
-    "CoefficientFilter", "CoefficientMemory", "FilterSettings", "Setup", "advanced", "checked_settings",
-    "floor_at", "held_columns",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, eq=False)
 class CoefficientMemory:

@@ -28,8 +28,6 @@ from ...systems.linear import Array
 from .baseline import Numbers
 from .kernels import CODES, Columns, forces
 
-__all__ = ["Bank", "build_bank", "checked_candidates"]
-
 _MOST_SHAPES = 3  # of a law with a gap, a limit or a fading speed
 
 

@@ -35,8 +35,6 @@ from ...systems.linear import Array
 from .isolation import Segment, descend
 from .kernels import CLIP, EVEN
 
-__all__ = ["FREE", "Healthy", "Numbers", "check_outputs", "numbers_of", "offset", "settled"]
-
 #: Unknown force over the measured input, relative to sensor noise of 3 %: observer gains that are tried.
 RATIOS = (0.0, *(float(r) for r in np.geomspace(2**-11, 2, 13)))
 FREE = 0.9999  # spectral radius up to which the model may run free

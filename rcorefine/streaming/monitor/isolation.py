@@ -23,8 +23,6 @@ from ...inference.starts import Motion, law_widths, shape_starts
 from ...inference.whitening import innovations
 from ...systems.linear import Array
 
-__all__ = ["Fit", "Segment", "descend", "fit_candidate"]
-
 _EVALUATIONS = 20
 _LITTLE = 0.01  # twice the log-likelihood that a last step may still add
 _MOST_STARTS = 2

@@ -16,8 +16,6 @@ from ...effects.compiled import COUNT, evaluate
 from ...jit import compiled
 from ...systems.linear import Array
 
-__all__ = ["ALONE", "CLIP", "CODES", "EVEN", "Columns", "forces"]
-
 #: Signals of the candidates that are no law to evaluate; d and v are what the rows sense.
 CODES = {
     "displacement": 101,

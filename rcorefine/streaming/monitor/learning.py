@@ -35,9 +35,6 @@ from .watching import linear_estimates, watch_block
 if TYPE_CHECKING:
     from .monitor import Monitor
 
-__all__ = [
-    "Adequacy", "crossing_rate", "learned", "record_to_watch", "stream_of", "threshold", "window_lengths",
-]  # fmt: skip
 
 _SHOWN = 3  # numbers in the sentence
 

@@ -31,8 +31,6 @@ from .saving import content_of, restored
 from .stream import Stream, as_base, period_of
 from .watching import Alarm, Course, MonitorRow, Watch, idle_remarks, linear_rows, watch_block
 
-__all__ = ["Monitor"]
-
 _LEAST = 2000  # samples of the learning phase
 _LEARN_PERIODS = 20
 

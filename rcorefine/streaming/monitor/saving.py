@@ -29,7 +29,6 @@ from .watching import ROWS, Alarm, Course, MonitorRow, Watch
 if TYPE_CHECKING:
     from .monitor import Monitor
 
-__all__ = ["content_of", "restored"]
 
 _SETTINGS = (
     "dt", "false_alarms", "learn", "disturbance", "hold", "missing", "windows", "patience", "tolerance",

@@ -29,8 +29,6 @@ from .bank import Bank
 from .baseline import Healthy
 from .kernels import forces
 
-__all__ = ["Observer", "Stream", "Windows", "as_base", "period_of"]
-
 
 def as_base(model: Any, hold: str) -> tuple[Structure, Array, int]:
     """Return structure, coefficients and substeps of the healthy model.

@@ -22,11 +22,6 @@ from ..samples import Block
 from .isolation import Fit, Segment, fit_candidate
 from .stream import Stream
 
-__all__ = [
-    "ROWS", "Alarm", "Course", "MonitorRow", "Watch", "idle_remarks", "linear_estimates", "linear_rows",
-    "watch_block",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, slots=True)
 class MonitorRow(Row):

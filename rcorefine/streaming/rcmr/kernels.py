@@ -20,11 +20,6 @@ from ...engine.products import solve_in_place
 from ...jit import NUMBA, compiled, put, put_rows
 from ...systems.linear import Array
 
-__all__ = [
-    "PADDING", "Design", "Plant", "Record", "Stage", "advance", "direct_step", "free_run_cost", "learn",
-    "state_power",
-]  # fmt: skip
-
 Integers = NDArray[np.int64]
 
 # Columns of Stage.counters

@@ -19,8 +19,6 @@ from ..samples import Block
 from .kernels import Plant, Record, advance
 from .setup import Memory, Scales, Setup, Tuned, explain, in_units, regressor_scale
 
-__all__ = ["PaperStages"]
-
 
 class Diverged(DivergenceError):
     """Divergence after `done` sound samples.

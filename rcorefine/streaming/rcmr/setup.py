@@ -19,11 +19,6 @@ from ..persistence import check_like, check_range, storable
 from ..samples import Sampled, as_matrix, as_rate, as_size
 from .kernels import PADDING, Design, Plant, Record, Stage, state_power
 
-__all__ = [
-    "Memory", "Scales", "Settings", "Setup", "Tuned", "as_settings", "correction_path", "explain",
-    "in_units", "make_setup", "regressor_scale", "start",
-]  # fmt: skip
-
 # A Markov parameter counts as zero below this share of the largest |C| |A^(i-1) B_u| of its entry
 # over the first n + 1 samples: what is left of an exact cancellation after rounding.
 TOLERANCE = 1e-10
