@@ -3,7 +3,7 @@
 import numpy as np
 
 import rcorefine as rco
-from rcorefine.engine.response_engine import ResponseEngine
+from rcorefine.engine.amplitude_response import ResponseEngine
 from rcorefine.engine.structure import Structure
 from rcorefine.models.conversion import as_physical
 from rcorefine.models.operating_point import ordered_record

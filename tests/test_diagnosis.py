@@ -70,7 +70,7 @@ def test_words_fit_the_page_and_the_result_can_be_kept(friction, nothing):
 
 
 def test_picture_shows_the_force_without_a_law():
-    from rcorefine.inference.hidden_force import estimated_force
+    from rcorefine.inference.free_form import estimated_force
 
     hidden, found = diagnosed(304, effect="cubic_stiffness", loss=0.2)
     plot = found.plot()

@@ -117,7 +117,7 @@ def test_sampled_responses_know_the_hold():
 @pytest.mark.parametrize("hold", ["zoh", "foh", "bandlimited"])
 def test_derivatives_are_those_of_differences(hold):
     from rcorefine.data.response_record import ResponseRecord
-    from rcorefine.engine.response_engine import ResponseEngine
+    from rcorefine.engine.amplitude_response import ResponseEngine
     from rcorefine.engine.structure import Structure
 
     kinds = ("stiffness", "link2"), ("mass", "mass2"), ("input_delay", "force"), ("input_lag", "force")
@@ -219,8 +219,8 @@ LAWS = {
 @pytest.mark.parametrize("kind", LAWS)
 def test_answers_of_all_lines_are_those_of_one_sine_at_a_time(kind):
     from rcorefine.data.response_record import ResponseRecord
+    from rcorefine.engine.amplitude_response import ResponseEngine
     from rcorefine.engine.harmonic_balance import Balance
-    from rcorefine.engine.response_engine import ResponseEngine
     from rcorefine.engine.structure import Structure
 
     one = rco.mass_spring_damper(1.0, 0.4, 100.0, sensors="displacement", outputs="q1")

@@ -9,8 +9,7 @@ from hidden.generator import hidden_record
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.inference.basis import project, rank_basis
-from rcorefine.inference.f_tests import f_test
+from rcorefine.inference.f_tests import f_test, project, rank_basis
 from rcorefine.inference.whitening import huber_weights
 
 

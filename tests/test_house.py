@@ -336,7 +336,7 @@ def test_one_of_each():
         "solve_toeplitz(": set(),
         "damping *=": {"streaming/coefficients/effects.py"},  # its steps come from a filter, not from columns
         "damping = max(": {"gauss_newton.py"},
-        "def autoregression": {"inference/autoregression.py"},
+        "def autoregression": {"inference/whitening.py"},
         "class Whitener": {"inference/whitening.py"},
         "def smooth(": {"engine/smoother.py"},
         "def linearized(structure": {"engine/point.py"},

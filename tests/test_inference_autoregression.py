@@ -8,8 +8,15 @@ from scipy import stats
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, lfiltic
 
-from rcorefine.inference.autoregression import MAX_ORDER, autoregression, highest_order, stable_model
-from rcorefine.inference.whitening import Whitener, innovations, whitened
+from rcorefine.inference.whitening import (
+    MAX_ORDER,
+    Whitener,
+    autoregression,
+    highest_order,
+    innovations,
+    stable_model,
+    whitened,
+)
 
 PEAK = np.poly([0.99 * np.exp(0.3j), 0.99 * np.exp(-0.3j)]).real
 THIRD = np.array([1.0, -1.2, 0.7, -0.2])

@@ -8,7 +8,6 @@ import statsmodels.api as sm
 from scipy import stats
 from scipy.signal import lfilter
 
-from rcorefine.inference.basis import project, rank_basis
 from rcorefine.inference.covariance import (
     colored,
     covariance,
@@ -17,7 +16,7 @@ from rcorefine.inference.covariance import (
     standard_deviations,
     wald,
 )
-from rcorefine.inference.f_tests import f_test
+from rcorefine.inference.f_tests import f_test, project, rank_basis
 from rcorefine.inference.whitening import Whitener
 
 

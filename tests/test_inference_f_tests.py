@@ -7,8 +7,7 @@ import pytest
 from scipy import stats
 from scipy.linalg import block_diag
 
-from rcorefine.inference.basis import Basis, lengths, project, rank_basis
-from rcorefine.inference.f_tests import apart_test
+from rcorefine.inference.f_tests import Basis, apart_test, lengths, project, rank_basis
 
 
 def by_hand(residual, columns, fitted):

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rcorefine as rco
-from rcorefine.engine import leading
+from rcorefine.engine import observer
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.exceptions import ModelError, RCOWarning
@@ -304,9 +304,9 @@ def test_the_growth_of_an_error_is_that_of_two_runs_side_by_side():
     by = []
     for start in (np.array([1e-7, 0.0]), np.array([0.0, 1e-7])):
         by.append((rco.simulate(model, data, start).states - run.states)[:, -1] / 1e-7)
-    growth = leading.growth(model, run.states, data)
+    growth = observer.growth(model, run.states, data)
     assert np.log(np.linalg.norm(by, 2)) < growth + 0.1  # the largest, which need not be at the end
-    assert leading.steadying_ratio(model, record(seed=1, n=300)) is None
+    assert observer.steadying_ratio(model, record(seed=1, n=300)) is None
 
 
 def test_a_chaotic_motion_is_judged_one_sample_ahead():

@@ -11,8 +11,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.inference.basis import project, rank_basis
-from rcorefine.inference.f_tests import f_test, unequal_variances
+from rcorefine.inference.f_tests import f_test, project, rank_basis, unequal_variances
 
 
 def motion_of(rng, n, bursts):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine.engine.free_runs import runs_away
-from rcorefine.engine.leading import leading_gain
+from rcorefine.engine.controlled import runs_away
+from rcorefine.engine.observer import leading_gain
 from rcorefine.engine.structure import Structure
 from rcorefine.systems.linear import LinearModel
 

@@ -15,9 +15,8 @@ from ..data.measurement import Measurement
 from ..data.records import as_record
 from ..data.response_record import in_frequency
 from ..effects.given import Table, share_beyond
-from ..engine.controlled import as_it_runs
-from ..engine.free_runs import checked_horizon, free_runs, runs_away
-from ..engine.leading import leading_ratio
+from ..engine.controlled import as_it_runs, checked_horizon, free_runs, runs_away
+from ..engine.observer import leading_ratio
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
 from ..inference.windows import as_data

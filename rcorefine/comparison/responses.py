@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..data.frequency_response import FrequencyResponse
 from ..data.response_record import ResponseRecord, as_responses
-from ..engine.response_engine import ResponseEngine
+from ..engine.amplitude_response import ResponseEngine
 from ..engine.simulation import structure_of
 from ..results import Options, Reported, Result, picture, show
 from ..systems.linear import Array, LinearModel

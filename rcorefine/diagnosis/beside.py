@@ -8,9 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ..effects.given import InputCurve, OutputCurve
-from ..engine.response_engine import ResponseEngine
-from ..inference.basis import project
-from ..inference.f_tests import FTest
+from ..engine.amplitude_response import ResponseEngine
+from ..inference.f_tests import FTest, project
 from ..inference.fitted import FittedModel
 from ..inference.free_form import Curve, averaged_evidence, channel_signal, curve_responses
 from ..inference.sensitivities import force_responses

@@ -14,8 +14,8 @@ from ..data.records import at_rest
 from ..data.response_record import ResponseRecord, in_frequency, noise_is_known, some_lines
 from ..effects.effect import Effect
 from ..effects.law import KINDS
+from ..engine.amplitude_response import is_linear
 from ..engine.line_balance import remembering
-from ..engine.response_engine import is_linear
 from ..engine.structure import Structure
 from ..exceptions import DataError, ModelError
 from ..inference.doubts import explains_nothing

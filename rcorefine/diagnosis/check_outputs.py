@@ -15,8 +15,8 @@ from scipy.signal import correlate
 from ..comparison.result import Comparison
 from ..data.measurement import Measurement
 from ..data.records import clipped, coarse_noise, resolution
-from ..inference.autoregression import autoregression
-from ..inference.basis import project, rank_basis
+from ..inference.f_tests import project, rank_basis
+from ..inference.whitening import autoregression
 from ..models.operating_point import OperatingPoint
 from ..systems.conversion import to_discrete
 from ..systems.linear import Array, LinearModel

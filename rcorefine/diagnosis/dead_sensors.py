@@ -20,8 +20,7 @@ from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..engine.simulation import simulate
 from ..exceptions import DataError, DivergenceError
-from ..inference.autoregression import autoregression
-from ..inference.whitening import innovations
+from ..inference.whitening import autoregression, innovations
 from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array

@@ -15,7 +15,7 @@ from ..data.measurement import Measurement
 from ..data.records import amplitude
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect, as_effects
-from ..engine.free_runs import integrates
+from ..engine.controlled import integrates
 from ..exceptions import IdentifiabilityWarning, unheard
 from ..inference.assembly import check_settings, offsets_everywhere
 from ..inference.covariance import wald

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from ..arguments import as_flag, as_list, as_mapping, as_number, as_share, as_texts, as_vector, shown
 from ..data.measurement import Measurement
 from ..engine.engine import Engine
-from ..engine.leading import leading_gain
+from ..engine.observer import leading_gain
 from ..exceptions import DivergenceError
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.levels import levels

@@ -10,9 +10,9 @@ import numpy as np
 
 from ..effects.effect import Effect, unit_forces
 from ..engine.point import resting, tangents
-from ..inference.basis import Basis, project
 from ..inference.covariance import covariance, standard_deviations
 from ..inference.descent import Descent
+from ..inference.f_tests import Basis, project
 from ..inference.fitted import FittedModel, coefficient_covariance, evaluated
 from ..inference.outcome import _rows, fit_of
 from ..inference.problem import Problem

@@ -16,7 +16,7 @@ from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect, as_effects
-from ..engine.response_engine import engine_on
+from ..engine.amplitude_response import engine_on
 from ..exceptions import (
     DataError,
     DivergenceError,

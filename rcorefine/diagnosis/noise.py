@@ -10,9 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaln, ndtr
 
-from ..inference.autoregression import autoregression
 from ..inference.levels import Levels, levels
-from ..inference.whitening import Whitener, innovations
+from ..inference.whitening import Whitener, autoregression, innovations
 from ..systems.linear import Array
 from ..words import frequency_text
 from .residual_tests import TestedResidual

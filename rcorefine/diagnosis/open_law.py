@@ -12,10 +12,9 @@ import numpy as np
 from ..data.measurement import Measurement
 from ..effects.effect import Effect, unit_forces
 from ..effects.given import InputCurve, OutputCurve, Table, Tabulated
-from ..inference.basis import Basis, project
+from ..inference.f_tests import Basis, project
 from ..inference.fitted import FittedModel
-from ..inference.free_form import FreeForm, evidence, fit_free_form
-from ..inference.hidden_force import estimated_force
+from ..inference.free_form import FreeForm, estimated_force, evidence, fit_free_form
 from ..inference.refinement import Refinement
 from ..inference.whitening import Whitener
 from ..models.ports import Port

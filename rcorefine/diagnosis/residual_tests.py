@@ -13,9 +13,17 @@ from scipy import stats
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord, coded
 from ..effects.effect import Effect
-from ..engine.response_engine import ResponseEngine
-from ..inference.basis import Basis, in_own_units, lengths, project
-from ..inference.f_tests import FTest, apart_test, f_test, projected_test
+from ..engine.amplitude_response import ResponseEngine
+from ..inference.f_tests import (
+    Basis,
+    FTest,
+    apart_test,
+    f_test,
+    in_own_units,
+    lengths,
+    project,
+    projected_test,
+)
 from ..inference.fitted import FittedModel
 from ..inference.free_form import Curve
 from ..inference.levels import Levels

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..effects.effect import Effect
-from ..inference.basis import Basis, project
+from ..inference.f_tests import Basis, project
 from ..inference.fitted import FittedModel
 from ..inference.sensitivities import Candidate, _shapes, parameter_columns
 from ..inference.starts import Motion

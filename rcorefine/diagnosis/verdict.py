@@ -12,7 +12,7 @@ from scipy import stats
 from ..comparison.compare import compare
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
-from ..inference.basis import project
+from ..inference.f_tests import project
 from ..inference.levels import Levels
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..inference.sensitivities import Candidate, candidate_columns

@@ -1,4 +1,6 @@
-"""Simulation of a closed loop, with the controller as additional states.
+"""Free runs, cut into windows where needed, and closed loops.
+
+A closed loop has the states of the controller as additional ones.
 
 The states of the controller jump at the samples. The recorded input contains the noise of the sensors:
 u = K (r, y). The loop of the model gives u + K (0, y_model - y), so the controller acts as an observer does,
@@ -8,18 +10,21 @@ outputs hold over the sample.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
+import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arguments import as_number
 from ..data.measurement import Measurement
-from ..exceptions import ModelError
+from ..exceptions import DataError, ModelError
 from ..models.physical_model import PhysicalModel
 from ..systems.discretization import discretize
 from ..systems.linear import Array, LinearModel
-from .free_runs import runs_away
 
 if TYPE_CHECKING:
     from .structure import Structure
@@ -116,3 +121,117 @@ def as_it_runs(model: PhysicalModel, record: Measurement) -> LinearModel:
             "negative), or leave the controller out, and the model is judged one sample ahead"
         )
     return loop
+
+
+_WINDOWS = 10  # of a record whose model integrates
+_GROWTH = 3.0  # log by which an unstable mode may grow over a free run: an error of its start as well
+
+
+def checked_horizon(horizon: Any, known_start: bool = False) -> float | None:
+    """The horizon as a number of seconds, None for the default.
+
+    Raises
+    ------
+    control.ControlArgument
+        If it is no positive time, or stands beside a given initial state.
+    """
+    if horizon is None:
+        return None
+    seconds = as_number(horizon, "horizon", above=0.0, what="a time in seconds")
+    if known_start:
+        raise ct.ControlArgument("a given x0 holds for one start only; leave horizon or x0 out")
+    return seconds
+
+
+def integrates(linear: LinearModel, record: Measurement) -> bool:
+    """Return whether an output drifts under a constant input.
+
+    The drift must last as long as the record.
+    """
+    if linear.n_states == 0:
+        return False
+    poles, right = np.linalg.eig(linear.A)
+    turned = np.abs(poles) * record.dt if linear.is_continuous else np.abs(poles - 1.0)
+    slow = turned * record.n_samples < 1e-3
+    if not slow.any():
+        return False
+    step = np.linalg.norm(linear.C, axis=0) @ np.abs(right[:, slow])
+    return bool(np.any(step > 1e-9 * np.linalg.norm(linear.C)))
+
+
+def runs_away(linear: LinearModel, record: Measurement) -> bool:
+    """Return whether an unstable mode rules out a free run.
+
+    The mode grows too much over the length of the record.
+    """
+    poles = np.linalg.eigvals(linear.A) if linear.n_states else np.zeros(0)
+    with np.errstate(divide="ignore"):
+        rates = poles.real * record.dt if linear.is_continuous else np.log(np.abs(poles))
+    return bool(rates.max(initial=0.0) * record.n_samples > _GROWTH)
+
+
+def free_runs(
+    models: Sequence[LinearModel],
+    records: Sequence[Measurement],
+    horizon: float | None = None,
+    known_start: bool = False,
+) -> tuple[list[list[slice]], str]:
+    """Windows of each record, every one with an initial state of its own.
+
+    Parameters
+    ----------
+    models : sequence of LinearModel
+        Models that run in the same windows.
+    records : sequence of Measurement
+        Records.
+    horizon : float, optional
+        Length in s. Each record is cut in the whole number of equal windows that comes
+        nearest. Default: the whole record; one tenth of the longest where a model integrates,
+        for a free run then drifts without bound. An unstable model has no free run: it is led by an
+        observer, over the whole record.
+    known_start : bool
+        Whether the initial state is given: there is one start then.
+
+    Returns
+    -------
+    windows : list of list of slice
+        Per record.
+    note : str
+        Why there are windows that nobody asked for, or no free run; empty otherwise.
+
+    Raises
+    ------
+    control.ControlArgument
+        If `horizon` is no positive time, or stands beside a given start.
+    DataError
+        If a window is too short to estimate a state in.
+    """
+    seconds, note, least = checked_horizon(horizon, known_start), "", 1
+    n_states = max(model.n_states for model in models)
+    if seconds is None:
+        kinds = {(record.dt, record.n_samples): record for record in records}.values()
+        if any(runs_away(m, r) for m in models if m.is_continuous for r in kinds):
+            return [[slice(0, record.n_samples)] for record in records], (
+                "The model is unstable and has no free run: it is judged by what it predicts one sample "
+                "ahead, with process noise (Kalman predictor) (horizon= gives short free runs)."
+            )
+        if known_start or not any(integrates(m, r) for m in models for r in kinds):
+            return [[slice(0, record.n_samples)] for record in records], note
+        seconds = max(record.n_samples * record.dt for record in records) / _WINDOWS
+        least = 4 * n_states + 4
+        note = (
+            f"The model integrates, so free runs are cut into windows of {seconds:.3g} s "
+            "with an initial state each (horizon=)."
+        )
+    found = []
+    for record in records:
+        n, n_outputs = record.n_samples, record.outputs.shape[0]
+        count = min(max(1, round(n * record.dt / seconds)), max(1, n // least))
+        if count > 1 and n // count * n_outputs <= n_states:
+            raise DataError(
+                f"a window of horizon = {seconds:g} s holds {n // count} samples of {n_outputs} output(s), "
+                f"too few to estimate {n_states} initial states from and to judge by; give a longer one"
+            )
+        edges = np.linspace(0, n, count + 1).round().astype(int)
+        found.append([slice(int(a), int(b)) for a, b in pairwise(edges)])
+    return found, note

@@ -1,4 +1,4 @@
-"""Arguments of the simulation loop at given coefficients.
+"""Exact discretization, and arguments of the simulation loop.
 
 They are computed once for all records that need them.
 """
@@ -6,16 +6,19 @@ They are computed once for all records that need them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..systems.discretization import exponential, power_of_two
 from ..systems.linear import Array
 from .linear import LinearStep
 from .point import field_numbers
 
 if TYPE_CHECKING:
+    from .matrices import Matrices
     from .structure import Structure
 
 
@@ -111,3 +114,86 @@ def setting(structure: Structure, theta: Array, step: float, derivatives: bool) 
 def _stacked(parts: list[NDArray[Any]]) -> NDArray[Any]:
     """Arrays one behind the other; of one alone a view."""
     return parts[0][None] if len(parts) == 1 else np.stack(parts)
+
+
+TINY_STEP = 1e-30  #: of the imaginary parts by which derivatives are taken
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Discrete:
+    """One substep, with derivatives for the parameters listed in `linear`."""
+
+    M: Array
+    dM: Array
+    O: Array
+    dO: Array
+    P: Array
+    dP: Array
+    linear: NDArray[np.int64]
+
+
+def discretized(structure: Structure, theta: Array, step: float, *, derivatives: bool = True) -> Discrete:
+    """One substep of length `step` seconds, exact for the linear part.
+
+    Inputs and port forces run linearly over the substep; a held input is the
+    special case of equal ends.
+    """
+    linear = structure.absorbed if derivatives else np.zeros(0, dtype=np.int64)
+    key = ("matrices", theta[structure.absorbed].tobytes(), derivatives)
+    make = partial(tiny_steps, structure, theta, linear)
+    at = structure.kept(key, make) if structure.jumps else make()  # a piece of it asks for the same
+    n, drive = structure.n_states, structure.n_inputs + 1 + structure.n_forces
+    size = n + 2 * drive
+    blocks = np.zeros((len(at.A), size, size), at.A.dtype)
+    # units of inputs, outputs and forces must not cost digits of A
+    states = _inner_scale(structure, at.A[0].real)[:, None]
+    pushes = states * np.concatenate([at.B, at.E], axis=2)
+    columns = power_of_two(np.abs(pushes[0].real).max(axis=0, initial=0.0))
+    blocks[:, :n, :n] = states * at.A / states.T * step
+    blocks[:, :n, n : n + drive] = pushes / columns * step
+    blocks[:, n : n + drive, n + drive :] = np.eye(drive)
+    with np.errstate(over="ignore", invalid="ignore"):  # the engine says so where a model blows up
+        exponentials = exponential(blocks)[:, :n, :] / states
+        Phi = exponentials[:, :, :n] * states.T
+        second = exponentials[:, :, n + drive :] * columns
+        first = exponentials[:, :, n : n + drive] * columns - second
+    nw = structure.n_inputs + 1
+    M = np.concatenate(
+        [Phi, first[:, :, :nw], second[:, :, :nw], first[:, :, nw:], second[:, :, nw:]], axis=2
+    )
+    O = np.concatenate([at.C, at.D, at.G], axis=2)
+    with np.errstate(over="ignore"):
+        dM, dO, dP = (part[: len(linear)].imag / TINY_STEP for part in (M, O, at.P))
+    if not dP.any():
+        dP = np.zeros((0, *at.P.shape[1:]))
+    M0, dM, O, dO, P, dP = (
+        np.ascontiguousarray(part) for part in (M[0].real, dM, O[0].real, dO, at.P[0].real, dP)
+    )
+    return Discrete(M0, dM, O, dO, P, dP, linear)
+
+
+def tiny_steps(structure: Structure, theta: Array, linear: NDArray[np.int64]) -> Matrices:
+    """Return the matrices a tiny imaginary step away from `theta`.
+
+    There is one step along each parameter that enters them. Their real parts are those at `theta`; without
+    such parameters it is the only point.
+    """
+    if not len(linear):
+        return structure.matrix_stack(theta[None].astype(float))
+    points = np.repeat(theta[None].astype(complex), len(linear), axis=0)
+    points[np.arange(len(linear)), linear] += 1j * TINY_STEP
+    return structure.matrix_stack(points)
+
+
+def _inner_scale(structure: Structure, A: NDArray[Any]) -> Array:
+    """Return scales that bring the states of effects to the model's size.
+
+    The scales are powers of two; the states of effects are in units of a signal.
+    """
+    scale = np.ones(structure.n_states)
+    for j in range(structure.linear_model.n_states, structure.n_states):
+        others = np.arange(structure.n_states) != j
+        up, down = np.abs(A[others, j]).max(initial=0.0), np.abs(A[j, others]).max(initial=0.0)
+        if up > 0 or down > 0:
+            scale[j] = np.sqrt(up / down) if up > 0 and down > 0 else up or 1.0 / down
+    return power_of_two(scale)

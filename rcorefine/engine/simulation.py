@@ -22,7 +22,7 @@ from ..systems.linear import Array, LinearModel
 from .controlled import loop_gain, own_states
 from .engine import Engine
 from .initial_state import estimate_initial_state
-from .leading import leading_gain
+from .observer import leading_gain
 from .structure import Structure
 
 _STILL, _MOST_STEPS = 1e-3, 64  # a run that doubled substeps move by less of its size has enough of them

@@ -26,7 +26,7 @@ from ..systems.linear import Array, LinearModel
 from .controlled import open_loop
 from .matrices import Matrices, continuous_matrices, site_of
 from .point import about_point
-from .substep import Discrete, discretized
+from .setting import Discrete, discretized
 
 _KEPT = 8  # of what hangs on the coefficients: with and without derivatives, whole and in pieces
 _Made = TypeVar("_Made")

@@ -26,8 +26,8 @@ from ..diagnosis.check_rows import Check
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis
 from ..effects.effect import Effect, unit_forces
-from ..engine.free_runs import checked_horizon
-from ..engine.response_engine import engine_on
+from ..engine.amplitude_response import engine_on
+from ..engine.controlled import checked_horizon
 from ..engine.structure import Structure
 from ..exceptions import DivergenceError, ModelError
 from ..inference.outcome import fit_of, output_weights

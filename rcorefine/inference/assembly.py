@@ -17,7 +17,7 @@ from ..data.response_record import in_frequency
 from ..effects.channels import InputOffset, OutputOffset
 from ..effects.effect import Effect, as_effects
 from ..effects.law import KINDS
-from ..engine.free_runs import checked_horizon, integrates
+from ..engine.controlled import checked_horizon, integrates
 from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..models.conversion import as_physical

@@ -15,7 +15,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from ..systems.linear import Array
-from .autoregression import autoregression, stable_model
+from .whitening import autoregression, stable_model
 
 _UNSEEN = 1e-7  # singular value of the unit-column Jacobian below which a direction is not seen
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from ..gauss_newton import Rows, gauss_newton, promised
 from ..systems.linear import Array
-from .evaluation import Evaluation
-from .problem import Problem
+from .problem import Evaluation, Problem
 from .whitening import Whitener
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from ..arguments import as_noise
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency, noise_is_known
+from ..engine.amplitude_response import engine_on
 from ..engine.engine import Engine
 from ..engine.initial_state import estimate_initial_state
-from ..engine.response_engine import engine_on
 from ..engine.structure import Structure
 from ..exceptions import IdentifiabilityWarning, warn
 from ..models.physical_model import PhysicalModel

@@ -12,10 +12,10 @@ import numpy as np
 
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
+from ..engine.amplitude_response import ResponseEngine, is_linear
 from ..engine.engine import Engine
 from ..engine.initial_state import estimate_initial_state
 from ..engine.observer import observer_gain
-from ..engine.response_engine import ResponseEngine, is_linear
 from ..engine.structure import Structure
 from ..gauss_newton import Rows, gauss_newton
 from ..systems.linear import Array

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..effects.effect import Effect, unit_forces
+from ..engine.amplitude_response import ResponseEngine, engine_on
 from ..engine.controlled import sample_jumps
 from ..engine.engine import Engine
 from ..engine.linear import linear_responses
 from ..engine.point import resting
-from ..engine.response_engine import ResponseEngine, engine_on
 from ..engine.structure import Structure
 from ..models.ports import felt
 from ..systems.discretization import discretize

@@ -16,9 +16,9 @@ from scipy.signal import find_peaks, welch
 
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord
+from ..engine.amplitude_response import channel_signal, engine_on, port_phasors, sampled
 from ..engine.engine import Engine
 from ..engine.observer import existing_gain
-from ..engine.response_engine import channel_signal, engine_on, port_phasors, sampled
 from ..engine.structure import Structure
 from ..models.operating_point import sensed
 from ..systems.linear import Array

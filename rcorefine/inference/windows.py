@@ -11,9 +11,8 @@ from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..data.records import as_records
 from ..data.response_record import ResponseRecord, as_responses, in_frequency, some_lines
-from ..engine.controlled import as_it_runs
-from ..engine.free_runs import free_runs
-from ..engine.leading import leading_ratio
+from ..engine.controlled import as_it_runs, free_runs
+from ..engine.observer import leading_ratio
 from ..models.conversion import as_physical
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel

@@ -22,13 +22,12 @@ from ..engine.observer import observer_gain
 from ..engine.structure import Structure
 from ..exceptions import DataError
 from ..gauss_newton import Rows, gauss_newton
-from ..inference.autoregression import autoregression
 from ..inference.covariance import colored, covariance, pseudo_inverse, standard_deviations
 from ..inference.outcome import output_weights
 from ..inference.problem import Problem
 from ..inference.search import starting_states
 from ..inference.starts import far_starts
-from ..inference.whitening import Whitener
+from ..inference.whitening import Whitener, autoregression
 from ..systems.linear import Array
 
 _POINTS = 250

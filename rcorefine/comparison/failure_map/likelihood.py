@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from ...gauss_newton import Rows, gauss_newton
-from ...inference.autoregression import highest_order
-from ...inference.whitening import Whitener
+from ...inference.whitening import Whitener, highest_order
 from ...systems.linear import Array
 
 # Differences below this share of an output are rounding, not evidence.

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from ...data.records import coarse_noise, cut_off
-from ...inference.autoregression import autoregression
-from ...inference.whitening import innovations
+from ...inference.whitening import autoregression, innovations
 from ...systems.linear import Array
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord

@@ -22,7 +22,7 @@ from ...engine.engine import Engine
 from ...engine.kernels import address_of_march
 from ...engine.structure import Structure
 from ...exceptions import IdentifiabilityWarning, ModelError, warn
-from ...inference.autoregression import autoregression
+from ...inference.whitening import autoregression
 from ...models.conversion import as_physical
 from ...models.operating_point import check_stream_hold, refuse_discrete
 from ...models.physical_model import PhysicalModel

@@ -27,9 +27,8 @@ from ...engine.structure import Structure
 from ...exceptions import DataError
 from ...gauss_newton import Rows
 from ...inference.assembly import nominal_size
-from ...inference.autoregression import autoregression
 from ...inference.covariance import standard_deviations
-from ...inference.whitening import innovations
+from ...inference.whitening import autoregression, innovations
 from ...models.library import effect_library
 from ...systems.linear import Array
 from .isolation import Segment, descend

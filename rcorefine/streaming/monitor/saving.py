@@ -16,7 +16,7 @@ from ...effects.effect import as_effects
 from ...engine.engine import MOST_SUBSTEPS
 from ...engine.structure import Structure
 from ...exceptions import DataError
-from ...inference.autoregression import MAX_ORDER
+from ...inference.whitening import MAX_ORDER
 from ..persistence import check_like, check_range, check_schema, storable
 from ..samples import Block
 from .bank import Bank
