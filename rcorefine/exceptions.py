@@ -1,4 +1,6 @@
-"""Errors and warnings: what was wrong, where, and what to do.
+"""Errors, warnings and NumPy's error settings; optional packages.
+
+An error says what was wrong, where, and what to do.
 
 ::
 
@@ -16,12 +18,16 @@ Sizes that do not fit raise `control.ControlDimension` and wrong types
 `control.ControlArgument`, as python-control itself does.
 """
 
+import importlib
 import os
 import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import Any
+
+import numpy as np
 
 
 class RCOError(Exception):
@@ -90,3 +96,36 @@ def warn(message: str, category: type[RCOWarning]) -> None:
         while frame.f_back is not None and frame.f_code.co_filename.startswith(_HERE):
             level, frame = level + 1, frame.f_back
         warnings.warn(message, category, stacklevel=level)
+
+
+def needed(module: str, extra: str, what: str) -> Any:
+    """A module that not everybody has.
+
+    Parameters
+    ----------
+    module : str
+        Name, as it is imported.
+    extra : str
+        Extra of this package that installs it.
+    what : str
+        What needs it.
+
+    Raises
+    ------
+    MissingExtraError
+        If it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(
+            f'{what} needs {module}; install the extra "{extra}": pip install "rcorefine[{extra}]"'
+        ) from error
+
+
+def own_arithmetic() -> np.errstate:
+    """Return NumPy's default error settings as a context or decorator.
+
+    A weight that underflows is zero, and raises no error.
+    """
+    return np.errstate(divide="warn", over="warn", invalid="warn", under="ignore")

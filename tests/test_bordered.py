@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rcorefine.bordered import Bordered
-from rcorefine.gauss_newton import Rows, gauss_newton, promised
+from rcorefine.gauss_newton import Bordered, Rows, gauss_newton, promised
 
 
 def records(rng, p=3, n=2, rows=(20, 30, 25)):

@@ -16,7 +16,7 @@ from rcorefine.diagnosis.hypothesis import Hypothesis, Trial
 from rcorefine.diagnosis.verdict import undetermined
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.levels import levels
-from rcorefine.words import with_error
+from rcorefine.results import with_error
 
 DT = 0.02
 

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from scipy.signal import StateSpace, dlsim, lsim
 
 import rcorefine as rco
-from rcorefine.inference.descent import Evaluation
+from rcorefine.inference.problem import Evaluation
 
 M, C, K = 1.0, 0.4, 100.0
 SPRING = rco.Effect("stiffness", "link1")

@@ -19,7 +19,7 @@ from ..engine.controlled import as_it_runs, checked_horizon, free_runs, runs_awa
 from ..engine.observer import leading_ratio
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
-from ..inference.windows import as_data
+from ..inference.assembly import as_data
 from ..models.conversion import known_physical, under_control
 from ..models.operating_point import completed, ordered_record
 from ..models.physical_model import PhysicalModel

@@ -12,8 +12,8 @@ from ..arguments import as_whole, shown
 from ..data.measurement import Measurement
 from ..results import Options, Reported, picture, show
 from ..systems.linear import Array, LinearModel
+from .failure_map.frequency import LineLevels, line_levels
 from .failure_map.record import Places
-from .line_levels import LineLevels, line_levels
 from .signals import fit_percent, root_mean_square
 
 if TYPE_CHECKING:

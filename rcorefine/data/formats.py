@@ -21,11 +21,10 @@ from typing import Any, NamedTuple
 import control as ct
 import numpy as np
 
-from ..archives import most_bytes, read_archive
 from ..arguments import as_number, as_texts
-from ..exceptions import DataError, MissingExtraError, RCOError
-from ..extras import needed
+from ..exceptions import DataError, MissingExtraError, RCOError, needed
 from ..systems.linear import Array
+from ..writing import most_bytes, read_archive
 
 _CHILD = Path(__file__).with_name("apart_child.py")
 _PATIENCE = 60.0  # s for any file ...

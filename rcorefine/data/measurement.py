@@ -23,9 +23,8 @@ from ..arguments import (
     as_whole,
 )  # fmt: skip
 from ..exceptions import DataError, ExcitationWarning, warn
-from ..results import Options, Result, picture, show
+from ..results import Options, Result, counted, picture, show
 from ..systems.linear import Array
-from ..words import counted
 from . import HOLDS
 from .readers import RecordReaders
 from .resampling import decimated

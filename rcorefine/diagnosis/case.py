@@ -18,13 +18,13 @@ from ..engine.amplitude_response import is_linear
 from ..engine.line_balance import remembering
 from ..engine.structure import Structure
 from ..exceptions import DataError, ModelError
+from ..inference.assembly import spread_lines, windows
 from ..inference.doubts import explains_nothing
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.levels import levels
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
-from ..inference.windows import spread_lines, windows
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel

@@ -10,14 +10,13 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_flag
-from ..arithmetic import own_arithmetic
 from ..comparison.compare import compare
 from ..comparison.result import Comparison
 from ..data.channels import match_channels
 from ..data.measurement import Measurement
 from ..data.records import as_record
 from ..effects.effect import Effect, as_effects
-from ..exceptions import DataError, DivergenceError, unheard
+from ..exceptions import DataError, DivergenceError, own_arithmetic, unheard
 from ..inference.levels import levels
 from ..inference.sensitivities import candidate_columns
 from ..models.conversion import as_physical, known_physical, under_control
@@ -25,8 +24,8 @@ from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 from ..progress import Progress
 from ..refinement.refine import base_fit
+from ..results import counted
 from ..systems.linear import LinearModel
-from ..words import counted
 from .case import Case
 from .check_outputs import gain_rows, level_rows
 from .check_rows import (

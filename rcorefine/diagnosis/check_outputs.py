@@ -18,9 +18,9 @@ from ..data.records import clipped, coarse_noise, resolution
 from ..inference.f_tests import project, rank_basis
 from ..inference.whitening import autoregression
 from ..models.operating_point import OperatingPoint
+from ..results import counted, with_error
 from ..systems.conversion import to_discrete
 from ..systems.linear import Array, LinearModel
-from ..words import counted, with_error
 from .check_rows import LOOK, OK, STOP, CheckRow
 from .units import between, likely
 

@@ -19,23 +19,20 @@ from ..effects.effect import Effect, as_effects
 from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
 from ..exceptions import DataError
-from ..inference.assembly import check_settings, priors
+from ..inference.assembly import check_settings, priors, windows
 from ..inference.covariance import standard_deviations, wald
-from ..inference.descent import descend
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel, coefficient_covariance, evaluated
 from ..inference.outcome import output_weights
-from ..inference.problem import Problem
+from ..inference.problem import Problem, descend
 from ..inference.refinement import Refinement
 from ..inference.search import starting_states, sufficient_steps
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import Motion
-from ..inference.windows import windows
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record
-from ..results import Options, Result, Row, picture, show
+from ..results import Options, Result, Row, chance, picture, show
 from ..systems.linear import Array
-from ..words import chance
 from .beside import Beside
 from .case import not_held
 from .residual_tests import TestedResidual, overall, run_tests

@@ -10,27 +10,32 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_share
-from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
 from ..data.records import amplitude
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect, as_effects
 from ..engine.controlled import integrates
-from ..exceptions import IdentifiabilityWarning, unheard
-from ..inference.assembly import check_settings, offsets_everywhere
+from ..exceptions import IdentifiabilityWarning, own_arithmetic, unheard
+from ..inference.assembly import (
+    about_noise,
+    as_data,
+    check_settings,
+    check_validation,
+    offsets_everywhere,
+    spread_lines,
+)
 from ..inference.covariance import wald
-from ..inference.descent import descend
 from ..inference.fitted import FittedModel, coefficient_covariance
 from ..inference.levels import Levels, levels
+from ..inference.problem import descend
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import candidate_columns
-from ..inference.windows import about_noise, as_data, check_validation, spread_lines
 from ..models.conversion import as_physical, under_control
 from ..models.operating_point import ordered_record
 from ..progress import Progress
 from ..refinement.refine import base_fit, refit
+from ..results import chance, with_error
 from ..systems.linear import Array
-from ..words import chance, with_error
 from .case import Case, no_motion, not_excited
 from .check import looks
 from .dead_sensors import without_dead_sensors

@@ -18,18 +18,17 @@ from ..data.measurement import Measurement
 from ..engine.engine import Engine
 from ..engine.observer import leading_gain
 from ..exceptions import DivergenceError
+from ..inference.assembly import windows
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.levels import levels
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import Motion
 from ..inference.whitening import Whitener
-from ..inference.windows import windows
 from ..models.operating_point import refuse_point
 from ..models.physical_model import PhysicalModel
-from ..results import Options, Result, Row, picture, show
+from ..results import Options, Result, Row, frequency_text, picture, show
 from ..systems.linear import Array
-from ..words import frequency_text
 from .hypothesis import Hypothesis
 from .refits import Fitter
 from .residual_tests import TestedResidual

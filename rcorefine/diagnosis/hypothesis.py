@@ -11,11 +11,10 @@ import numpy as np
 from ..effects.effect import Effect, unit_forces
 from ..engine.point import resting, tangents
 from ..inference.covariance import covariance, standard_deviations
-from ..inference.descent import Descent
 from ..inference.f_tests import Basis, project
 from ..inference.fitted import FittedModel, coefficient_covariance, evaluated
 from ..inference.outcome import _rows, fit_of
-from ..inference.problem import Problem
+from ..inference.problem import Descent, Problem
 from ..models.operating_point import sensed
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array

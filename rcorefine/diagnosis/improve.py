@@ -10,7 +10,6 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_share, as_whole
-from ..arithmetic import own_arithmetic
 from ..comparison.compare import compare
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
@@ -23,12 +22,12 @@ from ..exceptions import (
     ExcitationWarning,
     IdentifiabilityWarning,
     ModelError,
+    own_arithmetic,
     unheard,
 )
-from ..inference.assembly import check_settings
+from ..inference.assembly import as_data, check_settings, check_validation
 from ..inference.levels import levels
 from ..inference.refinement import Refinement
-from ..inference.windows import as_data, check_validation
 from ..models.conversion import as_physical, under_control
 from ..models.operating_point import ordered_record
 from ..progress import Progress

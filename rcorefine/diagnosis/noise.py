@@ -12,8 +12,8 @@ from scipy.special import gammaln, ndtr
 
 from ..inference.levels import Levels, levels
 from ..inference.whitening import Whitener, autoregression, innovations
+from ..results import frequency_text
 from ..systems.linear import Array
-from ..words import frequency_text
 from .residual_tests import TestedResidual
 
 _MEDIAN = 0.45  # median of the square of a standard normal variable

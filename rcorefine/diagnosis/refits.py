@@ -12,9 +12,8 @@ from ..data.measurement import Measurement
 from ..effects.effect import Effect, unit_forces
 from ..engine.point import resting
 from ..engine.structure import Structure
-from ..inference.descent import Descent, descend
 from ..inference.fitted import FittedModel
-from ..inference.problem import Problem
+from ..inference.problem import Descent, Problem, descend
 from ..inference.search import search, step_matters
 from ..inference.starts import Motion, shape_starts
 from ..systems.linear import Array

@@ -15,9 +15,8 @@ from ..effects.effect import Effect
 from ..exceptions import IdentifiabilityWarning, ModelError, unheard
 from ..inference.f_tests import FTest
 from ..inference.refinement import EstimatedParameter, Refinement
-from ..results import Look, Options, Reported, ReportedModel, Row, picture, show
+from ..results import Look, Options, Reported, ReportedModel, Row, picture, show, with_error
 from ..systems.linear import Array
-from ..words import with_error
 from .check_rows import CheckRow, Detectable
 from .open_law import HiddenForce, OpenLaw, hidden_force
 from .words import sentences

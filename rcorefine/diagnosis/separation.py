@@ -19,12 +19,12 @@ from ..engine.observer import observer_gain
 from ..engine.structure import Structure
 from ..exceptions import DivergenceError
 from ..gauss_newton import Rows, gauss_newton
+from ..inference.assembly import windows
 from ..inference.fitted import evaluated
 from ..inference.levels import levels
 from ..inference.problem import Problem
 from ..inference.refinement import Refinement
 from ..inference.whitening import Whitener
-from ..inference.windows import windows
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 

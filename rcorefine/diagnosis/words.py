@@ -10,7 +10,7 @@ import numpy as np
 
 from ..inference.levels import levels
 from ..inference.refinement import EstimatedParameter, Refinement
-from ..words import chance, with_error
+from ..results import chance, with_error
 from .residual_tests import overall
 
 if TYPE_CHECKING:

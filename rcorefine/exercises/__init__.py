@@ -3,8 +3,7 @@
 Each student gets another record.
 """
 
-from .exercise import Exercise, Mark, hidden_effect, load_exercise
-from .grading import Grade, Grades, grade
+from .exercise import Exercise, Grade, Grades, Mark, grade, hidden_effect, load_exercise
 from .plants import PLANTS as _PLANTS
 
 __all__ = ["Exercise", "Grade", "Grades", "Mark", "grade", "hidden_effect", "load_exercise", "plants"]

@@ -13,7 +13,6 @@ import numpy as np
 from scipy.linalg import expm
 
 from ..arguments import as_choice, as_instance, as_number
-from ..arithmetic import own_arithmetic
 from ..comparison.compare import compare
 from ..comparison.failure_map.search import Failure
 from ..comparison.failure_map.state import ResidualForce, residual_force
@@ -29,12 +28,12 @@ from ..effects.effect import Effect, unit_forces
 from ..engine.amplitude_response import engine_on
 from ..engine.controlled import checked_horizon
 from ..engine.structure import Structure
-from ..exceptions import DivergenceError, ModelError
+from ..exceptions import DivergenceError, ModelError, own_arithmetic
+from ..inference.assembly import windows
 from ..inference.outcome import fit_of, output_weights
 from ..inference.problem import Problem, natural_sizes
 from ..inference.refinement import Refinement
 from ..inference.starts import Motion, estimated_motion, law_widths, shape_starts
-from ..inference.windows import windows
 from ..models.conversion import as_model, as_physical
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from ..arguments import as_path
 from ..effects.law import KINDS
 from ..exceptions import DataError
-from ..words import chance, with_error
+from ..results import chance, with_error
 from .comparison import FleetEffect, MachineEffect
 
 if TYPE_CHECKING:

@@ -16,8 +16,7 @@ import control as ct
 
 from ..arguments import as_text
 from ..exceptions import ModelError
-from ..results import Options, Result, picture, show
-from ..words import chance, counted, with_error
+from ..results import Options, Result, chance, counted, picture, show, with_error
 from .comparison import FleetEffect, MachineEffect, SurveyRow, Trend
 from .conditions import Breach, breaches
 

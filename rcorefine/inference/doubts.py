@@ -15,8 +15,8 @@ from scipy.linalg import eig
 from ..data.measurement import Measurement
 from ..engine.simulation import simulated
 from ..exceptions import IdentifiabilityWarning, warn
+from ..results import frequency_text
 from ..systems.linear import Array, LinearModel
-from ..words import frequency_text
 from .covariance import pseudo_inverse
 from .levels import levels
 from .refinement import Refinement

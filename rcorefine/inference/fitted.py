@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ..bordered import Bordered
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..engine.observer import existing_gain
 from ..engine.point import linearized
 from ..engine.structure import Structure
+from ..gauss_newton import Bordered
 from ..models.operating_point import ordered_record, sensed
 from ..systems.linear import Array
 from .assembly import priors

@@ -19,9 +19,8 @@ from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..export.programs import CodeExports
 from ..models.physical_model import PhysicalModel
-from ..results import Options, ReportedModel, Row, picture, show
+from ..results import Options, ReportedModel, Row, estimate, picture, show
 from ..systems.linear import Array
-from ..words import estimate
 
 
 @dataclass(frozen=True, slots=True)

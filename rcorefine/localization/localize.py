@@ -13,7 +13,6 @@ import numpy as np
 from scipy.stats import norm
 
 from ..arguments import as_choice, as_number, as_share, as_state
-from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
 from ..data.records import as_records
 from ..diagnosis.dead_sensors import without_dead_sensors
@@ -24,15 +23,14 @@ from ..effects.dampers import Damping
 from ..effects.effect import Effect
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure
-from ..exceptions import DataError, ExcitationWarning, IdentifiabilityWarning, warn
-from ..inference.assembly import assemble, check_settings, offset_variants
+from ..exceptions import DataError, ExcitationWarning, IdentifiabilityWarning, own_arithmetic, warn
+from ..inference.assembly import assemble, check_settings, offset_variants, windows
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
 from ..inference.outcome import _initial_fit
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import Motion, estimated_motion
-from ..inference.windows import windows
 from ..models.conversion import as_physical
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record, refuse_point

@@ -18,10 +18,10 @@ import control as ct
 import numpy as np
 from scipy.sparse import coo_matrix, issparse
 
-from ..archives import array_of, read_archive
 from ..data.formats import read_apart, read_matlab
 from ..exceptions import ModelError
 from ..systems.linear import Array
+from ..writing import array_of, read_archive
 from . import builders
 from .conversion import physical
 from .physical_model import PhysicalModel

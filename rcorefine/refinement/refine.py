@@ -9,21 +9,20 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_whole
-from ..arithmetic import own_arithmetic
 from ..data.measurement import Measurement
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect, as_effects
 from ..engine.engine import MOST_SUBSTEPS
 from ..engine.simulation import check_channels
 from ..engine.structure import Structure
-from ..inference.assembly import assemble, check_settings, offset_variants, unfold
+from ..exceptions import own_arithmetic
+from ..inference.assembly import as_data, assemble, check_settings, offset_variants, unfold, windows
 from ..inference.doubts import doubted
 from ..inference.fit import Fit
 from ..inference.outcome import output_weights, package
 from ..inference.refinement import Refinement
 from ..inference.search import starting_states
 from ..inference.starts import estimated_motion, law_widths
-from ..inference.windows import as_data, windows
 from ..models.conversion import under_control
 from ..models.operating_point import ordered_record, start_above
 from ..models.physical_model import PhysicalModel

@@ -18,7 +18,6 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import control as ct
 import numpy as np
 
-from ..archives import read_archive
 from ..arguments import as_mapping, as_path
 from ..data.formats import damaged
 from ..effects.effect import ARGUMENTS, Effect, import_path, law_here
@@ -28,7 +27,7 @@ from ..models.parameters import NominalParameter
 from ..models.physical_model import PhysicalModel
 from ..models.ports import Port
 from ..systems.linear import LinearModel
-from ..writing import replacing
+from ..writing import read_archive, replacing
 
 SCHEMA = 1  # of the file; raised when an older reader could misread it
 _META = "meta"

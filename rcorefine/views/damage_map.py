@@ -13,9 +13,8 @@ import numpy as np
 from ..arguments import as_text
 from ..exceptions import ModelError
 from ..localization.damage_map import DamageMap, DamageRow
-from ..results import shows
+from ..results import chance, shows, with_error
 from ..systems.linear import Array
-from ..words import chance, with_error
 from .figures import Frame, draws, plain, unit_text, write_at
 from .tables import WIDTH, Table, number
 

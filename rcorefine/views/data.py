@@ -19,7 +19,7 @@ from ..diagnosis.open_law import HiddenForce
 from ..diagnosis.result import Diagnosis, Improvement, RankedEffect, Step, next_step
 from ..effects.effect import Effect
 from ..engine.amplitude_response import AmplitudeResponse
-from ..extras import needed
+from ..exceptions import needed
 from ..fleet.result import Survey
 from ..inference.f_tests import FTest
 from ..inference.refinement import EstimatedParameter, Refinement

@@ -18,8 +18,8 @@ from ..diagnosis.open_law import HiddenForce
 from ..diagnosis.result import Diagnosis, next_step
 from ..effects.effect import unit_forces
 from ..engine.simulation import simulated
+from ..results import chance, estimate
 from ..systems.linear import Array
-from ..words import chance, estimate
 from .bode import BodeUnits, broken_phase
 from .figures import BAND, MEASURED, Frame, draws, plain, style, trace, unit_text, write_at
 from .models import estimates_table

@@ -12,7 +12,7 @@ from ..comparison.failure_map.state import residual_force
 from ..comparison.model_error import model_error
 from ..comparison.result import Comparison
 from ..exceptions import DataError
-from ..words import chance, counted
+from ..results import chance, counted
 from .bode import BodeUnits
 from .figures import BAND, MEASURED, Frame, log_labels, plain, style, trace, unit_text
 from .tables import Table, cells, clip, tabulates

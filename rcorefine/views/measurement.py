@@ -11,7 +11,7 @@ import numpy as np
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..diagnosis.check_rows import Check, CheckRow
-from ..words import frequency_text
+from ..results import frequency_text
 from .bode import BodeAxes, BodeUnits
 from .figures import MEASURED, Frame, draws, trace, unit_text
 from .tables import Table, Told, number, tabulates, tells

@@ -17,10 +17,9 @@ from ..diagnosis.result import Improvement, next_step
 from ..effects.effect import Effect
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..models.physical_model import PhysicalModel
-from ..results import shows
+from ..results import counted, shows, with_error
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
-from ..words import counted, with_error
 from .bode import bode, bode_grid, level_bode
 from .figures import BAND, Frame, draws, plain, style, unit_text, write_at
 from .tables import WIDTH, Table, Told, cells, html_table, root_mean_square, tells

@@ -21,8 +21,8 @@ from ..diagnosis.result import Diagnosis, Improvement
 from ..diagnosis.words import no_test_fires, numbers_that_moved
 from ..engine.simulation import simulated
 from ..inference.refinement import EstimatedParameter, Refinement
+from ..results import chance, counted, with_error
 from ..systems.linear import LinearModel
-from ..words import chance, counted, with_error
 from .code import (
     call_options,
     effects_code,

@@ -11,7 +11,7 @@ import numpy as np
 from ..comparison.responses import FrequencyComparison, LevelComparison
 from ..data.frequency_response import FrequencyResponse
 from ..engine.amplitude_response import AmplitudeResponse
-from ..words import frequency_text
+from ..results import frequency_text
 from .bode import BodeAxes, bode
 from .figures import Frame, draws, style
 from .tables import Table, number, tabulates

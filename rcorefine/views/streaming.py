@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..exceptions import DataError
+from ..results import with_error
 from ..streaming.history import CoefficientHistory, History
 from ..streaming.monitor.monitor import Monitor
 from ..streaming.refiner import RCORefiner
 from ..systems.linear import Array
-from ..words import with_error
 from .bode import bode
 from .figures import BAND, Frame, draws, plain, style, trace, unit_text
 from .tables import Table, number, tabulates

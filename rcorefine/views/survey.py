@@ -14,12 +14,10 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_flag, as_path
-from ..exercises.exercise import Exercise
-from ..exercises.grading import Grades
+from ..exercises.exercise import Exercise, Grades
 from ..fleet.comparison import FleetEffect, SurveyRow
 from ..fleet.result import Survey
-from ..results import shows
-from ..words import chance, counted, with_error
+from ..results import chance, counted, shows, with_error
 from .figures import BAND, Frame, draws, plain, style, unit_text
 from .page import (
     Page,

@@ -10,10 +10,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy.signal import hilbert
 
+from ...results import frequency_text
 from ...systems.linear import Array
-from ...words import frequency_text
-from ..line_levels import excited_lines
-from .frequency import band_columns
+from .frequency import band_columns, excited_lines
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
 

@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...arguments import as_number, as_text
-from ...arithmetic import own_arithmetic
 from ...data.formats import damaged
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
-from ...exceptions import ModelError
+from ...exceptions import ModelError, own_arithmetic
 from ...inference.levels import levels
 from ...results import Options, Result, picture, show
 from ...systems.discretization import check_sampling_time

@@ -15,9 +15,8 @@ from ...effects.effect import Effect
 from ...inference.levels import levels
 from ...inference.starts import Motion
 from ...models.physical_model import PhysicalModel
-from ...results import Row
+from ...results import Row, with_error
 from ...systems.linear import Array
-from ...words import with_error
 from ..samples import Block
 from .isolation import Fit, Segment, fit_candidate
 from .stream import Stream
