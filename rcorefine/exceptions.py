@@ -1,4 +1,4 @@
-"""Errors, warnings and NumPy's error settings; optional packages.
+"""Errors, warnings, NumPy's error settings, optional packages.
 
 An error says what was wrong, where, and what to do.
 

@@ -83,8 +83,8 @@ def _run(arguments: Namespace) -> int:
 
     Its module is imported late, so that --help and wrong usage answer at once.
     """
-    homes = {"demo": "demo", "example": "example", "survey": "survey"}
-    homes |= dict.fromkeys(("check", "compare", "diagnose", "improve"), "analysis")
+    homes = {"demo": "demo", "example": "example"}
+    homes |= dict.fromkeys(("check", "compare", "diagnose", "improve", "survey"), "analysis")
     home = import_module(f".{homes.get(arguments.command, 'questions')}", __package__)
     return int(getattr(home, f"run_{arguments.command}")(arguments))
 

@@ -14,9 +14,9 @@ from scipy import stats
 
 from ..data.measurement import Measurement
 from ..data.welch import estimate_frequency_response
+from ..engine.linear import observed
 from ..engine.observer import steady_filter
 from ..exceptions import DataError
-from ..jit import compiled
 from ..results import Row
 from ..systems.linear import Array
 from ..systems.response import as_sampled, frequency_response
@@ -196,10 +196,8 @@ def _errors(comparison: Comparison, index: int, ahead: NDArray[np.int64]) -> Arr
     residual = (scene.measured - scene.run).T.copy()
     Phi, C = np.ascontiguousarray(scene.transition), scene.model.C / scene.scale
     gain = _gain(Phi, scene.drive, C, residual, scene)
-    powers = np.stack([C @ np.linalg.matrix_power(Phi, int(h)) for h in ahead])
-    total, count = np.zeros((ahead.size, C.shape[0])), np.zeros(ahead.size)
     # the error is carried on by the linear part: what a correction takes off now fades as it does
-    predict(Phi, C, gain, residual, scene.reset, np.ascontiguousarray(powers), ahead, total, count)
+    total, count = _missed(Phi, C, gain, residual, scene.reset, ahead)
     with np.errstate(all="ignore"):
         error = np.sqrt(total / np.maximum(count, 1)[:, None])
     error[count == 0] = np.nan
@@ -226,32 +224,23 @@ def _gain(Phi: Array, drive: Array, C: Array, residual: Array, scene: ModelOnRec
         K = scaled.gain * size[:, None]
         if not np.isfinite(K).all():
             continue
-        total, count = np.zeros((1, ny)), np.zeros(1)
-        predict(Phi, C, K, residual, scene.reset, (C @ Phi)[None].copy(), np.array([1]), total, count)
-        error = float(total.sum())
+        error = float(_missed(Phi, C, K, residual, scene.reset, np.array([1]))[0].sum())
         if np.isfinite(error) and (best is None or error < best[0]):
             best = error, K
     return np.zeros((n, ny)) if best is None else best[1]
 
 
-@compiled
-def predict(Phi, C, K, residual, reset, powers, ahead, total, count):  # type: ignore[no-untyped-def]
-    """Sum of squared errors of predictions of the residual, by horizon."""
-    N = residual.shape[0]
-    x = np.zeros(Phi.shape[0])
-    last = 0
-    for k in range(N):
-        if reset[k]:
-            x = np.zeros(Phi.shape[0])
-        x = x + K @ (residual[k] - C @ x)
-        if reset[k]:
-            last = k + 1
-            while last < N and not reset[last]:
-                last += 1
-        for j in range(ahead.size):
-            t = k + ahead[j]
-            if t < last:
-                error = residual[t] - powers[j] @ x
-                total[j] += error * error
-                count[j] += 1
-        x = Phi @ x
+def _missed(
+    Phi: Array, C: Array, K: Array, residual: Array, reset: NDArray[np.uint8], ahead: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Return sums of squared prediction errors by horizon, and their counts."""
+    N = len(residual)
+    states = observed(Phi, C, K, residual, reset)
+    ends = np.append(np.flatnonzero(reset)[1:], N)
+    last = ends[np.cumsum(reset) - 1]  # the end of the free run that a sample belongs to
+    total, count = np.zeros((ahead.size, len(C))), np.zeros(ahead.size)
+    for j, h in enumerate(ahead):
+        at = np.flatnonzero(np.arange(h, N) < last[: N - h])
+        error = residual[at + h] - (C @ np.linalg.matrix_power(Phi, int(h)) @ states[:, at]).T
+        total[j], count[j] = np.sum(error**2, axis=0), at.size
+    return total, count

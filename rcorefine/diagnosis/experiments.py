@@ -343,7 +343,7 @@ def _proposals(
     for name, values in (("amplitudes", amplitudes), ("lengths", lengths)):
         factors[name] = as_list(values, name, "positive factors")
         if factors[name]:
-            as_vector(factors[name], name, above=0.0, error=ct.ControlArgument)
+            as_vector(values, name, above=0.0, error=ct.ControlArgument)
     if repeat:
         found.append(Proposal("repeat", "repeat the record", _blank(record, w), costs["repeat"]))
     for factor in factors["amplitudes"]:

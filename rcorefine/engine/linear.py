@@ -8,6 +8,7 @@ log2(N) products of matrices (the work-efficient scan of Blelloch, "Prefix sums 
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -116,7 +117,8 @@ def recursion(F: Array, start: Array, pushes: Array) -> Array:
 
 def _times(M: Array, signals: Array) -> Array:
     """Return the product of a matrix and signals (n, ...), sample by sample."""
-    return (M @ signals.reshape(len(signals), -1)).reshape(len(M), *signals.shape[1:])
+    columns = math.prod(signals.shape[1:])  # of no states, too
+    return (M @ signals.reshape(len(signals), columns)).reshape(len(M), *signals.shape[1:])
 
 
 def _marched(
@@ -276,6 +278,46 @@ def _by_each(maps: Array, signals: Array) -> Array:
     return np.moveaxis(found.reshape(*maps.shape[:2], *signals.shape[1:]), 0, -1)
 
 
+@np.errstate(all="ignore")  # what blows up is seen in the answer
+def state_power(A: Array, B: Array, W: Array) -> Array:
+    """Return the mean square of each state, from rest, with inputs (N, n_w)."""
+    states = recursion(A, np.zeros((len(A), 1)), (B @ W.T)[:, :, None])[:, :, 0]
+    return np.asarray(np.mean(states**2, axis=1)) if len(W) else np.zeros(len(A))
+
+
+@np.errstate(all="ignore")
+def observed(Phi: Array, C: Array, K: Array, measured: Array, restarts: NDArray[np.uint8]) -> Array:
+    """Return the states of an observer, corrected by each sample.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (n, n)
+        Transition over one sample.
+    C : ndarray, shape (n_y, n)
+        Outputs.
+    K : ndarray, shape (n, n_y)
+        Gain.
+    measured : ndarray, shape (N, n_y)
+        Measured outputs.
+    restarts : ndarray of uint8, shape (N,)
+        Where it begins anew from rest.
+
+    Returns
+    -------
+    ndarray, shape (n, N)
+    """
+    n, N = len(Phi), len(measured)
+    found = np.empty((n, N))
+    for a, b in pairwise([0, *(np.flatnonzero(restarts[1:]) + 1), N]):
+        added, none = np.zeros((n, b - a - 1, 1)), np.zeros((len(C), b - a, 1))
+        part = measured[a:b].T[:, :, None]
+        found[:, a:b] = _marched(Phi, C, [(slice(0, b - a), K)], np.zeros((n, 1)), added, none, part)[1][
+            :, :, 0
+        ]
+    return found
+
+
+@np.errstate(all="ignore")
 def linear_responses(
     Phi: Array,
     drives: tuple[Array, Array],

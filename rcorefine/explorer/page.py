@@ -1,4 +1,4 @@
-"""The page of one visitor, a thin view of an `Exploration`, and its server."""
+"""Page of one visitor, a thin view of an `Exploration`; its server."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ def translated(function: Callable[..., Any], name: str, language: str, label: st
     >>> print(translated(KINDS["bilinear_stiffness"].law, "law1", "C", "a kink"))
     static double law1(double d, double bilinear_stiffness)
     {
-        return (bilinear_stiffness * fmax(d, 0.0));
+        return (bilinear_stiffness * fmax(0.0, d));
     }
     """
     plain = getattr(function, "py_func", function)

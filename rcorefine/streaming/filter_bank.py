@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..engine.linear import recursion
 from ..exceptions import DataError, DivergenceError
 from ..systems.conversion import growth, stabilized, to_discrete
 from ..systems.linear import Array, LinearModel
@@ -23,7 +24,6 @@ from .coefficients.entries import MILESTONES
 from .coefficients.setup import CoefficientFilter, Setup
 from .history import PARAMETERS, Summary
 from .persistence import check_like, storable
-from .rcmr.kernels import free_run_cost
 from .samples import Block
 
 INITIAL = "initial"
@@ -363,3 +363,48 @@ def _allowed(initial: LinearModel) -> float:
     if rate > 1e-9:
         return np.inf
     return 1e-9 if rate > -1e-9 else 1e-3 * max(rate, -1.0)
+
+
+def free_run_cost(
+    model: tuple[Array, ...], W: Array, Y: Array, use: NDArray[np.uint8], weights: Array, window: int
+) -> float:
+    """Return the weighted mean square simulation error of a frozen model.
+
+    The initial state is fitted.
+
+    Parameters
+    ----------
+    model : tuple of ndarray
+        A, B, C, D of the discrete model.
+    W, Y : ndarray, shape (N, nw), (N, ny)
+        Samples that it has not seen.
+    use : ndarray of uint8, shape (N, ny)
+        Which outputs to compare.
+    weights : ndarray, shape (ny,)
+        One over the size of each output.
+    window : int
+        Samples after which the run starts anew with a state of its own, 0 for never.
+    """
+    A, B, C, D = model
+    n, N, total = len(A), len(W), 0.0
+    start = np.eye(n, n + 1, 1)  # the run from rest, then the response to each entry of the state
+    for a in range(0, N, window or N):
+        b = min(a + (window or N), N)
+        pushes = np.zeros((n, b - a - 1, n + 1))
+        with np.errstate(all="ignore"):  # a model that blows up costs an infinity
+            pushes[:, :, 0] = B @ W[a : b - 1].T
+            states = np.concatenate([start[:, None], recursion(A, start, pushes)], axis=1)
+            seen = np.tensordot(C, states, 1)
+            scale = (use[a:b] * weights).T
+            error = np.where(use[a:b], Y[a:b], 0.0).T - seen[:, :, 0] - D @ W[a:b].T
+            error, columns = (scale * error).ravel(), scale[:, :, None] * seen[:, :, 1:]
+            columns = columns.reshape(error.size, n)
+            H, g, square = columns.T @ columns, columns.T @ error, float(error @ error)
+        if not (np.isfinite(H).all() and np.isfinite(square)):
+            return np.inf
+        # least squares for the state at the start of the window, each column of unit size
+        size = np.sqrt(np.diag(H))
+        unit = np.divide(1.0, size, out=np.zeros(n), where=size > 0)
+        normal = H * np.outer(unit, unit) + np.diag(np.where(size > 0, 1e-10, 1.0))
+        total += max(square - float(unit * g @ np.linalg.solve(normal, unit * g)), 0.0)
+    return total / max(float(use.sum()), 1.0)

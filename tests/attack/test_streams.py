@@ -220,7 +220,7 @@ def test_a_monitor_beyond_any_length_of_a_stream():
     near.update(*plant.run(3000))
     state = near.__getstate__()
     rings = [len(value) for key, value in state["stream"]["memory"].items() if key.startswith("ring")]
-    blocks = state["stream"]["windows"].block * state["stream"]["memory"]["sums"].shape[1]
+    blocks = near._stream.windows.block * state["stream"]["memory"]["sums"].shape[1]
     by = int(np.lcm.reduce([*rings, blocks, state["course"]["stride"]])) * 2**20
     assert by > 2**31
     far, real = (moved_monitor(near, by, weight) for weight in (False, True))

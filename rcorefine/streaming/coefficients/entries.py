@@ -15,11 +15,11 @@ import control as ct
 import numpy as np
 
 from ...effects.bodies import Entry
+from ...engine.linear import state_power
 from ...exceptions import ModelError
 from ...systems.conversion import to_discrete
 from ...systems.discretization import exponential
 from ...systems.linear import Array, LinearModel
-from ..rcmr.kernels import state_power
 from .kernel import Kernel, Layout
 from .setup import DOUBT, NEVER, CoefficientMemory, FilterSettings, Setup, advanced
 

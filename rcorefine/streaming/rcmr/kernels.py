@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dger
 
-from ...engine.products import solve_in_place
 from ...jit import NUMBA, compiled, put, put_rows
 from ...systems.linear import Array
 
@@ -524,86 +523,3 @@ def learn(stage: Stage, design: Design, new: Array, offsets: Array) -> None:
         theta += step
     else:
         theta -= step
-
-
-@compiled
-def free_run_cost(
-    model: tuple[Array, ...],
-    W: Array,
-    Y: Array,
-    use: NDArray[np.uint8],
-    weights: Array,
-    window: int,
-) -> float:
-    """Return the weighted mean square simulation error of a frozen model.
-
-    The initial state is fitted.
-
-    Parameters
-    ----------
-    model : tuple of ndarray
-        A, B, C, D of the discrete model.
-    W, Y : ndarray, shape (N, nw), (N, ny)
-        Samples that it has not seen.
-    use : ndarray of uint8, shape (N, ny)
-        Which outputs to compare.
-    weights : ndarray, shape (ny,)
-        One over the size of each output.
-    window : int
-        Samples after which the run starts anew with a state of its own, 0 for never.
-    """
-    A, B, C, D = model
-    n = A.shape[0]
-    x, X = np.zeros(n), np.eye(n)  # X[j]: the state by entry j of that at the start of the window
-    H, g, found = np.zeros((n, n)), np.zeros(n), np.zeros((1, n))
-    total, square, count, held = 0.0, 0.0, 0.0, 0
-    for k in range(W.shape[0]):
-        error = weights * (Y[k] - product(C, x) - product(D, W[k]))
-        for i in range(C.shape[0]):
-            if use[k, i] == 0:
-                continue
-            h = weights[i] * product(X, C[i])
-            g += error[i] * h
-            for a in range(n):
-                add_scaled(H[a], 0, h[a], h)
-            square += error[i] * error[i]
-            count += 1.0
-        x = product(A, x) + product(B, W[k])
-        for j in range(n):
-            put(X[j], 0, product(A, X[j]))
-        held += 1
-        if held == window or k == W.shape[0] - 1:
-            # least squares for the state at the start of the window, each column of unit size
-            for a in range(n):
-                found[0, a] = 1.0 / np.sqrt(H[a, a]) if H[a, a] > 0.0 else 0.0
-            unit = found[0].copy()
-            for a in range(n):
-                H[a] *= unit[a] * unit
-                H[a, a] += 1e-10 if unit[a] > 0.0 else 1.0
-            g *= unit
-            if not np.isfinite(H).all():
-                return np.inf
-            put(found[0], 0, g)
-            if n > 0:
-                solve_in_place(H, found)
-            total += max(square - g @ found[0], 0.0)
-            square, held = 0.0, 0
-            x, X = np.zeros(n), np.eye(n)
-            H[:, :] = 0.0
-            g[:] = 0.0
-    return total / max(count, 1.0)
-
-
-@compiled
-def state_power(A: Array, B: Array, W: Array) -> Array:
-    """Return the mean square of each state of a discrete model.
-
-    The model starts from rest, with inputs of shape (N, nw).
-    """
-    x = np.zeros(A.shape[0])
-    total = np.zeros(A.shape[0])
-    for k in range(W.shape[0]):
-        x = product(A, x) + product(B, W[k])
-        total += x * x
-    total /= max(W.shape[0], 1)
-    return total

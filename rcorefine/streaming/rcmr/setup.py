@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from ...arguments import as_array
+from ...engine.linear import state_power
 from ...exceptions import DataError, ModelError
 from ...systems.discretization import discretize
 from ...systems.linear import Array, LinearModel
 from ..persistence import check_like, check_range, storable
 from ..samples import Sampled, as_matrix, as_rate, as_size
-from .kernels import PADDING, Design, Plant, Record, Stage, state_power
+from .kernels import PADDING, Design, Plant, Record, Stage
 
 # A Markov parameter counts as zero below this share of the largest |C| |A^(i-1) B_u| of its entry
 # over the first n + 1 samples: what is left of an exact cancellation after rounding.
