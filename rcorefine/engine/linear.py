@@ -185,7 +185,7 @@ def simulate_linear(
         if NUMBA:
             y, X = np.full((N, ny), np.nan), np.full((N, n), np.nan)
             sensitivity = np.zeros((N, ny, p))
-            into = x.copy(), S, substeps, y, sensitivity, X, limit, far
+            into = x.copy(), S.copy(), substeps, y, sensitivity, X, limit, far
             blew_up: int = linear_march(*at, *drive, *corrections, *into)
             return y, sensitivity, X, blew_up
         return _in_blocks(at, drive, corrections, x, S, substeps, far, limit)
