@@ -25,7 +25,7 @@ from .exceptions import (
     RCOError,
     RCOWarning,
 )
-from .explorer.page import explore
+from .explorer.serving import explore
 from .fleet import Survey, survey
 from .localization import DamageMap, localize_damage
 from .models.builders import (

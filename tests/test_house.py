@@ -36,7 +36,7 @@ ORDER = (
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
     ".": 816, "arguments": 250, "commands": 1159, "comparison": 2256, "data": 2449, "diagnosis": 5371,
-    "effects": 2962, "engine": 3424, "examples": 258, "exercises": 529, "explorer": 1052, "export": 480,
+    "effects": 2962, "engine": 3424, "examples": 258, "exercises": 529, "explorer": 1058, "export": 480,
     "fleet": 1004, "inference": 2740, "localization": 1195, "models": 3472, "refinement": 176,
     "streaming": 6692, "systems": 597, "views": 3634,
 }  # fmt: skip

@@ -16,7 +16,7 @@ import numpy as np
 from ..data.channels import SUFFIXES
 from ..data.frequency_response import FrequencyResponse
 from ..exceptions import ModelError
-from ..explorer.page import explore
+from ..explorer.serving import explore
 from ..localization.localize import localize_damage
 from ..models.reading import read_model
 from ..refinement.refine import refine

@@ -59,7 +59,7 @@ def usual(name: str, *, whole: bool) -> tuple[bool, frozenset[str]]:
 def stopped(name: str, *, whole: bool):
     target = by_signature.targets()[name]
     call = Call(target.function, target.valid, work=target.work)
-    with _stopped(call, whole=whole), mock.patch("rcorefine.explorer.page.needed", _begin):
+    with _stopped(call, whole=whole), mock.patch("rcorefine.explorer.serving.needed", _begin):
         yield
 
 
