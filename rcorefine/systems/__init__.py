@@ -4,8 +4,7 @@
 package reads the fields of a `StateSpace`.
 """
 
-from .canonical import characteristic_polynomial, observable_form
-from .conversion import d2c, to_discrete
+from .conversion import characteristic_polynomial, d2c, observable_form, to_discrete
 from .discretization import check_sampling_time, discretize
 from .linear import LinearModel
 from .response import bode_error, default_omega, frequency_response
