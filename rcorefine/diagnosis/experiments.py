@@ -100,7 +100,7 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
     if found.verdict == "adequate":
         return _near(found, fitted(found.base))
     if found.floated is not None:
-        why = "Nothing to separate: no law is needed; refine() has the numbers of the model as they are."
+        why = "Nothing to separate: no additional effect is needed; refine() re-estimates the parameters."
         return [], fitted(found.floated), why
     if best is None and found.verdict == "ambiguous":
         why = "The record shows no motion from which candidates could be simulated: excite it, then diagnose."

@@ -393,9 +393,9 @@ class Step(Row):
     Attributes
     ----------
     effect : Effect or None
-        What was added (None for the start, and where the model's own numbers were fitted).
+        Added effect; None for the start, and where only parameters were re-estimated.
     action : str
-        "start", "parameters" (the numbers of the model float from here on), "add", "pair" (added
+        "start", "parameters" (the parameters are re-estimated from here on), "add", "pair" (added
         together with the row before), "swap", "drop".
     train_rmse, choice_rmse, validation_rmse : ndarray, shape (n_y,)
         Root mean square error of the free run on the part that was fitted, on the part
@@ -406,7 +406,7 @@ class Step(Row):
         Verdict of the diagnosis that led to this step; for the last one see
         `Improvement.verdict`.
     rivals : tuple of Effect
-        Effects that explained the same alike.
+        Effects that the data cannot distinguish from it.
     refinement : Refinement
         Model after this step.
     """
