@@ -357,7 +357,7 @@ def test_times_of_a_clock(tmp_path, cells, delimiter):
         (["10:00:00", "10:00:01 AM"], "line 3.*no time like"),
         (["10:00:00", "25:00:01"], "line 3.*no time that exists"),
         (["2024-02-29 10:00:00", "2024-02-30 10:00:01"], "line 3.*no time that exists"),
-        (["31.12.24 10:00:00", "31.12.24 10:00:01"], "line 2.*are read by pandas and from_frame"),
+        (["31.12.24 10:00:00", "31.12.24 10:00:01"], "line 2.*with pandas, then use from_frame"),
         (["10:00:00", "09:00:00"], "does not increase"),
     ],
 )

@@ -450,7 +450,7 @@ def _number(cell: str, place: str, decimal: str) -> float:
         return float(cell.replace(decimal, "."))
     hint = ""
     if ":" in cell:
-        hint = " (times that are not of the form 2024-03-31 10:15:30.25 are read by pandas and from_frame)"
+        hint = "; convert dates that are not like 2024-03-31 10:15:30.25 with pandas, then use from_frame"
     elif other in cell:
         hint = f" (the decimal mark of this file is {decimal!r}; another one is given by decimal=)"
     raise DataError(f"{place} is not a number: {cell!r}{hint}")
