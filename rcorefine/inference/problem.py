@@ -6,7 +6,7 @@ The unknowns are the coefficients and the initial states.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
@@ -715,17 +715,6 @@ def descend(
     lack = promised(run.rows, run.point, low, high, sizes) if np.isfinite(run.cost) else np.inf
     place = problem.coordinates.point(run.point)
     return Descent(place, run.cost, run.rows.more, run.converged, lack, problem, gain)
-
-
-def remeasured(problem: Problem, run: Descent, whitener: Whitener) -> Descent:
-    """Return a descent with its cost and lack for a whitening filter.
-
-    The point does not change; cost and lack are log-likelihoods.
-    """
-    rows = _rows(problem, run.evaluation, run.point, whitener)
-    at = problem.coordinates.of(run.point)
-    lack = promised(rows, at, *problem.box(), problem.sizes_at(at))
-    return replace(run, cost=0.5 * float(rows.residual @ rows.residual), lack=lack)
 
 
 def _rows(problem: Problem, evaluation: Evaluation, point: Array, whitener: Whitener | None) -> Rows:

@@ -67,14 +67,6 @@ class Candidate:
         structure = self.problem.structure
         return structure.constants[len(structure.effects) - 1]
 
-    def with_width(self, factor: float) -> Candidate:
-        """The candidate with the width of its sgn(v) times a factor."""
-        old = self.problem.structure
-        last = len(old.effects) - 1
-        constants = {**old.constants, last: factor * old.constants[last]}
-        structure = Structure(old.model, old.effects, constants=constants)
-        return replace(self, _made=(self.at(self.problem.substeps, structure), self.starts))
-
     @property
     def problem(self) -> Problem:
         """Estimation problem with the effect added."""
