@@ -69,6 +69,11 @@ def test_failed_work_ends_with_1(tmp_path, capsys):
     assert blocked.read_text() == "a file, not a folder"
 
 
+def test_libraries_are_imported_where_ctrl_c_is_understood():
+    code = "import sys, rcorefine.commands.cli; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
 def test_module_is_the_command(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["rcorefine", "--version"])
     with pytest.raises(SystemExit) as end:

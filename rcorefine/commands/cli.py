@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 from ..data import HOLDS
 from ..version import __version__
-from .example import EXAMPLES
+from . import EXAMPLES
 
 # Nothing is imported before main, where Ctrl-C is understood: python-control takes a second.
 _FAULT, _INTERRUPTED = 3, 130

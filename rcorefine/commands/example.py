@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..writing import replacing
+from . import EXAMPLES
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,8 +140,6 @@ sensors = ["body_acceleration", "suspension_deflection"]
     ),
 }  # fmt: skip
 
-#: Names of the examples, the default first.
-EXAMPLES = tuple(_EXAMPLES)
 _SAMPLES = 2500
 _NOISE = 0.02
 _SHOWN = 6
@@ -152,7 +151,7 @@ def example_toml(name: str) -> str:
     Parameters
     ----------
     name : str
-        One of `NAMES`.
+        One of `EXAMPLES`.
 
     Returns
     -------
@@ -168,7 +167,7 @@ def example_csv(name: str, *, seed: int = 1, exact: bool = False) -> str:
     Parameters
     ----------
     name : str
-        One of `NAMES`.
+        One of `EXAMPLES`.
     seed : int
         Of excitation and noise (2 % of each output).
     exact : bool
@@ -194,14 +193,9 @@ def example_csv(name: str, *, seed: int = 1, exact: bool = False) -> str:
     y = hidden_outputs(model, hidden, blank, {0: made.width} if made.width and hidden else None)
     y = noisy(y, _NOISE, np.random.default_rng([seed, 1]))  # the same with and without the effect
     text = io.StringIO()
-    np.savetxt(
-        text,
-        np.vstack([blank.timepts, w, y]).T,
-        fmt="%.9g",
-        delimiter=",",
-        header=",".join(["time", *linear.input_labels, *linear.output_labels]),
-        comments="",
-    )
+    header = ",".join(["time", *linear.input_labels, *linear.output_labels])
+    rows = np.column_stack([blank.timepts, *w, *y])
+    np.savetxt(text, rows, fmt="%.9g", delimiter=",", header=header, comments="")
     return text.getvalue()
 
 
