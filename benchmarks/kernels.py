@@ -60,8 +60,9 @@ class PlainNumpy:
     def discretize(self) -> None:
         s, n, nu = self.setup.structure(self.part.memory.widths), self.setup.layout.n, self.setup.layout.nu
         d = s.discretize(self.centre, self.setup.settings.dt)
-        self.Phi, self.dPhi = d.M[:, :n], d.dM[:, :, :n]
-        self.Gam, self.dGam = (m[..., n : n + nu] + m[..., n + nu : n + 2 * nu] for m in (d.M, d.dM))
+        M, dM = d.M[0], d.dM[0]
+        self.Phi, self.dPhi = M[:, :n], dM[:, :, :n]
+        self.Gam, self.dGam = (m[..., n : n + nu] + m[..., n + nu : n + 2 * nu] for m in (M, dM))
         self.O, self.dO = d.O, d.dO
 
     def sample(self, w: np.ndarray, y: np.ndarray) -> None:

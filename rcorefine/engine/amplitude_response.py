@@ -444,7 +444,7 @@ class ResponseEngine:
         disc = s.discretize(theta, data.dt, derivatives=columns.size > 0)
         n, drive = s.n_states, nw + 1
         found: list[tuple[Array, ...]] = []
-        for M, O in zip((disc.M, *disc.dM), (disc.O, *disc.dO), strict=True):
+        for M, O in zip((disc.M[0], *disc.dM[0]), (disc.O, *disc.dO), strict=True):
             Phi, first, second = M[:, :n], M[:, n : n + nw], M[:, n + drive : n + drive + nw]
             C, D = O[:, :n], O[:, n : n + nw]
             if data.hold == "zoh":

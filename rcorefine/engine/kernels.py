@@ -57,9 +57,9 @@ def _field_sensitivity(sf, slopes, staken, columns):
 def march(
     # Forces are those of m laws, and with a field (a right-hand side that is not linear) nf of its
     # rows behind them, all = m + nf; the field takes ns states and inputs.
-    Ms,  # (1 or 2, n, n + 2 nw + 2 all)  [Phi, Gamma0, Gamma1, Psi0, Psi1] of a substep, and of a piece of it
-    dMs,  # (1 or 2, q, n, n + 2 nw + 2 all) their derivatives, for the parameters listed in `linear`
-    pieces,  # int                   pieces of a substep in which a force jumps
+    # A substep is divided by 4 where a force jumps in it, and again up to the last grade.
+    Ms,  # (grades, n, n + 2 nw + 2 all)  [Phi, Gamma0, Gamma1, Psi0, Psi1] of a substep, and of its pieces
+    dMs,  # (grades, q, n, n + 2 nw + 2 all) their derivatives, for the parameters listed in `linear`
     linear,  # (q,)               rows of the sensitivity that dM and dO drive
     O,  # (ny, n + nw + all)      [C, D, G]
     dO,  # (q, ny, n + nw + all)
@@ -120,10 +120,12 @@ def march(
     remembers = z.shape[0] > m
 
     ends = n + 2 * nw + m + nf
-    Phis = np.zeros((2, n, n))
-    Gamma0s, Gamma1s = np.zeros((2, n, nw)), np.zeros((2, n, nw))
-    Psi0s, Psi1s = np.zeros((2, n, m + nf)), np.zeros((2, n, m + nf))
-    for grade in range(Ms.shape[0]):
+    grades = Ms.shape[0]
+    ticks = 1 << 2 * (grades - 1)  # of a substep: its smallest pieces
+    Phis = np.zeros((grades, n, n))
+    Gamma0s, Gamma1s = np.zeros((grades, n, nw)), np.zeros((grades, n, nw))
+    Psi0s, Psi1s = np.zeros((grades, n, m + nf)), np.zeros((grades, n, m + nf))
+    for grade in range(grades):
         take(Phis[grade], Ms[grade], 0)
         take(Gamma0s[grade], Ms[grade], n)
         take(Gamma1s[grade], Ms[grade], n + nw)
@@ -132,8 +134,8 @@ def march(
     Px, Pw = np.zeros((P.shape[0], n)), np.zeros((P.shape[0], nw))
     take(Px, P, 0)
     take(Pw, P, n)
-    Qs = np.zeros((2, P.shape[0], m + nf))
-    for grade in range(2):
+    Qs = np.zeros((grades, P.shape[0], m + nf))
+    for grade in range(grades):
         multiply(Qs[grade], Px, Psi1s[grade])
     Cx, Dw, Gf = np.zeros((ny, n)), np.zeros((ny, nw)), np.zeros((ny, m + nf))
     take(Cx, O, 0)
@@ -320,10 +322,10 @@ def march(
         for s in range(substeps):
             row = (k * substeps + s) * max(course, 1)
             after = row + min(course, 1)
-            grade, piece, count = 0, 0, 1
-            while piece < count:
+            grade, length, tick = 0, ticks, 0
+            while tick < ticks:
                 M, Psi1, Q = Ms[grade], Psi1s[grade], Qs[grade]
-                early, late = piece / count, (piece + 1) / count
+                early, late = tick / ticks, (tick + length) / ticks
                 put(step, 0, x)
                 for j in range(nw):
                     rise = W[after, j] - W[row, j]
@@ -390,8 +392,8 @@ def march(
                         return k + 1
                     put(f, 0, trial)
                     put(step, ends, f)
-                    if grade == 0 and pieces > 1:
-                        # a friction force jumps inside this substep: once more, in small pieces
+                    if length > 1:
+                        # a friction force jumps inside: once more, the first quarter
                         jumps = False
                         for i in range(m):
                             if values[i, 5] != 0.0:
@@ -405,7 +407,8 @@ def march(
                         if jumps:
                             put(x, 0, step[:n])
                             put(f, 0, f_start)
-                            grade, count = 1, pieces
+                            grade += 1
+                            length //= 4
                             continue
                     add(x, Psi1, f)
                 if p > 0:
@@ -477,7 +480,10 @@ def march(
                     for j in range(m + nf):
                         d_last[i] += Q[i, j] * f[j]
                         v_last[i] += Q[m + i, j] * f[j]
-                piece += 1
+                tick += length
+                while length < ticks and tick % (4 * length) == 0:
+                    length *= 4
+                    grade -= 1
         for j in range(n):
             if not abs(x[j]) < limit:
                 return k + 1
@@ -485,7 +491,7 @@ def march(
 
 
 _TYPES = """int64(
-    f8[:, :, ::1], f8[:, :, :, ::1], i8, i8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1],
+    f8[:, :, ::1], f8[:, :, :, ::1], i8[::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, :, ::1],
     i8[::1], f8[:, ::1], i8[:, ::1], f8[::1], f8[:, ::1], i8, f8[:, ::1], f8[:, :, ::1], f8[:, :, ::1],
     i8[::1], f8[:, ::1], u1[:, ::1], f8[:, ::1], f8[:, ::1], i8[::1], f8[:, ::1], i8[:, ::1], f8[::1],
     f8[::1], f8[:, ::1], i8, f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8,

@@ -6,7 +6,6 @@ They are computed once for all records that need them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     from .structure import Structure
 
 
-PIECES = 16  # of a substep in which a friction force jumps
+GRADES = 3  # where a friction force jumps: a substep, a quarter of it, and a quarter of that
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +31,7 @@ class Setting:
     Attributes
     ----------
     substep : tuple
-        Matrices of a substep and of a piece of it, their derivatives, the number of pieces, and what the
-        outputs and the ports take.
+        Matrices of a substep and of its pieces, their derivatives, and what the outputs and the ports take.
     laws, outputs, field : tuple
         Codes, numbers and columns of the laws at ports, of those of the sensors, and of the field.
     finite : bool
@@ -49,7 +47,7 @@ class Setting:
     @property
     def linear(self) -> LinearStep:
         """Return the matrices that `simulate_linear` takes."""
-        M, dM, _, rows, O, dO = self.substep[:6]
+        M, dM, rows, O, dO = self.substep[:5]
         return LinearStep(M[0], dM[0], rows, O, dO)
 
     def decay(self, substeps: int, gain: Array, samples: int) -> Array:
@@ -57,7 +55,7 @@ class Setting:
 
         At every sample the outputs correct the states by a gain (n, n_y).
         """
-        M, O = self.substep[0][0], self.substep[4]
+        M, O = self.substep[0][0], self.substep[3]
         n = len(M)
         with np.errstate(all="ignore"):  # what grows beyond all numbers is noticed by who asks
             ahead = np.linalg.matrix_power(M[:, :n], substeps)
@@ -91,15 +89,8 @@ def setting(structure: Structure, theta: Array, step: float, derivatives: bool) 
     """
 
     def made() -> Setting:
-        disc = structure.discretize(theta, step, derivatives=derivatives)
-        grades, pieces = [disc], 1
-        if structure.jumps:
-            grades.append(structure.discretize(theta, step / PIECES, derivatives=derivatives))
-            pieces = PIECES
-        substep = (
-            _stacked([one.M for one in grades]), _stacked([one.dM for one in grades]), pieces, disc.linear,
-            disc.O, disc.dO, disc.P, disc.dP,
-        )  # fmt: skip
+        disc = structure.discretize(theta, step, derivatives=derivatives, pieces=structure.jumps)
+        substep = (disc.M, disc.dM, disc.linear, disc.O, disc.dO, disc.P, disc.dP)
         codes, values, columns, widths = structure.laws(theta)
         outcodes, outvalues, outcolumns = structure.output_laws(theta)
         field, fvalues, fcolumns = field_numbers(structure, theta)
@@ -111,17 +102,15 @@ def setting(structure: Structure, theta: Array, step: float, derivatives: bool) 
     return structure.kept(("setting", theta.tobytes(), step, derivatives), made)
 
 
-def _stacked(parts: list[NDArray[Any]]) -> NDArray[Any]:
-    """Arrays one behind the other; of one alone a view."""
-    return parts[0][None] if len(parts) == 1 else np.stack(parts)
-
-
 TINY_STEP = 1e-30  #: of the imaginary parts by which derivatives are taken
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Discrete:
-    """One substep, with derivatives for the parameters listed in `linear`."""
+    """One substep and its pieces, with derivatives by parameters.
+
+    `linear` lists these. The first axis of M and dM is the grade: a substep, a quarter of it, and so on.
+    """
 
     M: Array
     dM: Array
@@ -132,44 +121,46 @@ class Discrete:
     linear: NDArray[np.int64]
 
 
-def discretized(structure: Structure, theta: Array, step: float, *, derivatives: bool = True) -> Discrete:
-    """One substep of length `step` seconds, exact for the linear part.
+def discretized(
+    structure: Structure, theta: Array, step: float, *, derivatives: bool = True, pieces: bool = False
+) -> Discrete:
+    """One substep of length `step` seconds and, where asked for, its pieces.
 
-    Inputs and port forces run linearly over the substep; a held input is the
+    They are exact for the linear part. Inputs and port forces run linearly over each; a held input is the
     special case of equal ends.
     """
     linear = structure.absorbed if derivatives else np.zeros(0, dtype=np.int64)
-    key = ("matrices", theta[structure.absorbed].tobytes(), derivatives)
-    make = partial(tiny_steps, structure, theta, linear)
-    at = structure.kept(key, make) if structure.jumps else make()  # a piece of it asks for the same
+    at = tiny_steps(structure, theta, linear)
     n, drive = structure.n_states, structure.n_inputs + 1 + structure.n_forces
     size = n + 2 * drive
-    blocks = np.zeros((len(at.A), size, size), at.A.dtype)
+    grades = GRADES if pieces else 1
+    blocks = np.zeros((grades, len(at.A), size, size), at.A.dtype)
     # units of inputs, outputs and forces must not cost digits of A
     states = _inner_scale(structure, at.A[0].real)[:, None]
     pushes = states * np.concatenate([at.B, at.E], axis=2)
     columns = power_of_two(np.abs(pushes[0].real).max(axis=0, initial=0.0))
-    blocks[:, :n, :n] = states * at.A / states.T * step
-    blocks[:, :n, n : n + drive] = pushes / columns * step
-    blocks[:, n : n + drive, n + drive :] = np.eye(drive)
+    steps = step / 4.0 ** np.arange(grades)[:, None, None, None]
+    blocks[:, :, :n, :n] = states * at.A / states.T * steps
+    blocks[:, :, :n, n : n + drive] = pushes / columns * steps
+    blocks[:, :, n : n + drive, n + drive :] = np.eye(drive)
     with np.errstate(over="ignore", invalid="ignore"):  # the engine says so where a model blows up
-        exponentials = exponential(blocks)[:, :n, :] / states
-        Phi = exponentials[:, :, :n] * states.T
-        second = exponentials[:, :, n + drive :] * columns
-        first = exponentials[:, :, n : n + drive] * columns - second
+        found = exponential(blocks.reshape(-1, size, size))
+        exponentials = found.reshape(blocks.shape)[:, :, :n] / states
+        Phi = exponentials[..., :n] * states.T
+        second = exponentials[..., n + drive :] * columns
+        first = exponentials[..., n : n + drive] * columns - second
     nw = structure.n_inputs + 1
-    M = np.concatenate(
-        [Phi, first[:, :, :nw], second[:, :, :nw], first[:, :, nw:], second[:, :, nw:]], axis=2
-    )
+    M = np.concatenate([Phi, first[..., :nw], second[..., :nw], first[..., nw:], second[..., nw:]], axis=3)
     O = np.concatenate([at.C, at.D, at.G], axis=2)
     with np.errstate(over="ignore"):
-        dM, dO, dP = (part[: len(linear)].imag / TINY_STEP for part in (M, O, at.P))
+        dM = M[:, : len(linear)].imag / TINY_STEP
+        dO, dP = (part[: len(linear)].imag / TINY_STEP for part in (O, at.P))
     if not dP.any():
         dP = np.zeros((0, *at.P.shape[1:]))
-    M0, dM, O, dO, P, dP = (
-        np.ascontiguousarray(part) for part in (M[0].real, dM, O[0].real, dO, at.P[0].real, dP)
+    M, dM, O, dO, P, dP = (
+        np.ascontiguousarray(part) for part in (M[:, 0].real, dM, O[0].real, dO, at.P[0].real, dP)
     )
-    return Discrete(M0, dM, O, dO, P, dP, linear)
+    return Discrete(M, dM, O, dO, P, dP, linear)
 
 
 def tiny_steps(structure: Structure, theta: Array, linear: NDArray[np.int64]) -> Matrices:

@@ -28,7 +28,7 @@ from .matrices import Matrices, continuous_matrices, site_of
 from .point import about_point
 from .setting import Discrete, discretized
 
-_KEPT = 8  # of what hangs on the coefficients: with and without derivatives, whole and in pieces
+_KEPT = 8  # of what hangs on the coefficients: with and without derivatives
 _Made = TypeVar("_Made")
 
 
@@ -235,14 +235,18 @@ class Structure:
             skip -= set(self._port_effects)
         return np.array([i for i, q in enumerate(self.parameters) if q.effect not in skip], dtype=np.int64)
 
-    def discretize(self, theta: Array, step: float, *, derivatives: bool = True) -> Discrete:
+    def discretize(
+        self, theta: Array, step: float, *, derivatives: bool = True, pieces: bool = False
+    ) -> Discrete:
         """Return one substep of `step` seconds, exact for the linear part.
+
+        Also pieces of it, for forces that jump within.
 
         The result is kept because it is needed again.
         """
         key = theta[self.absorbed].tobytes()
-        make = partial(discretized, self, theta, step, derivatives=derivatives)
-        return self.kept((key, step, derivatives), make)
+        make = partial(discretized, self, theta, step, derivatives=derivatives, pieces=pieces)
+        return self.kept((key, step, derivatives, pieces), make)
 
     # ------------------------------------------------------------ nonlinear parts
     @property

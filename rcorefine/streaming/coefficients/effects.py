@@ -106,20 +106,18 @@ class EffectsSetup(Setup):
         lay, s = self.layout, self.structure(memory.widths)
         dt, hold = self.settings.dt, self.settings.hold
         step = dt / self.substeps
-        disc = s.discretize(memory.centre, step)
+        disc = s.discretize(memory.centre, step, pieces=s.jumps)
         n, nu = lay.n, lay.nu
         forces = _forces(self, tuple(memory.sizes.tolist()))
         head, floor = self.head(memory, self.bounds_about(memory.origin), *forces)
         q = disc.linear.size
         sizes = np.array([n, lay.p, nu, lay.ny, q, lay.lag, lay.m, lay.kept], dtype=np.int64)
         if self.fast:
-            M, dM = held_columns(disc.M[None], n, nu, hold)[0], held_columns(disc.dM, n, nu, hold)
+            M, dM = held_columns(disc.M, n, nu, hold)[0], held_columns(disc.dM[0], n, nu, hold)
             fixed = np.concatenate(
                 [*head, M.ravel(), disc.O.ravel(), dM.ravel(), disc.dO.ravel(), disc.linear]
             )
             return Kernel(sizes, fixed, None, floor)
-        pieces = 16 if s.jumps else 1
-        fine = s.discretize(memory.centre, step / pieces) if pieces > 1 else disc
         codes, values, columns, widths = s.laws(memory.centre)
         outcodes, outvalues, outcolumns = s.output_laws(memory.centre)
         r = len(s.input_statics)
@@ -132,8 +130,8 @@ class EffectsSetup(Setup):
             statics[i, 2 : 2 + len(law.coefficients)] = s.law_columns(index)
             levels[i, : len(found)] = found
         laws = Laws(
-            address_of_march(), np.stack([disc.M, fine.M]), np.stack([disc.dM, fine.dM]), pieces, disc.linear,
-            disc.O, disc.dO, disc.P, disc.dP, codes, values, columns, widths,
+            address_of_march(), disc.M, disc.dM, disc.linear, disc.O, disc.dO, disc.P, disc.dP,
+            codes, values, columns, widths,
             statics, levels, outcodes, outvalues, outcolumns, self.substeps, hold == "foh", dt,
         )  # fmt: skip
         return Kernel(sizes, np.concatenate(head), laws, floor)

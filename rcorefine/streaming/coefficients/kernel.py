@@ -359,7 +359,7 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
                 through, shown = (S_all, SY_all) if uncertain else (S_few, SY_few)
                 enter(through, S)
                 blew_up = march_at(
-                    laws.march, Ms, laws.dMs, laws.pieces, laws.linear, O, laws.dO, laws.P, laws.dP,
+                    laws.march, Ms, laws.dMs, laws.linear, O, laws.dO, laws.P, laws.dP,
                     laws.codes, laws.values, laws.columns, laws.widths, Wn, int(laws.foh), Wout, dW, dWout,
                     affected, measured, unused, none, np.zeros((0, 0)), laws.outcodes, laws.outvalues,
                     laws.outcolumns, x, z, through,

@@ -209,7 +209,7 @@ def drive(ring, statics, levels, substeps, foh, dt, room):
 class Laws(NamedTuple):
     """A model with laws, discretized: as the engine's `march` takes it.
 
-    march : address of that; Ms, dMs, O, dO, P, dP, pieces, codes, values, columns, widths, outcodes,
+    march : address of that; Ms, dMs, O, dO, P, dP, codes, values, columns, widths, outcodes,
     outvalues, outcolumns, substeps : as there; linear : coefficients that the matrices depend on;
     statics, levels : laws of the inputs and their coefficients, as `input_laws` takes them; foh : whether
     inputs are linear between samples; dt : sampling time.
@@ -218,7 +218,6 @@ class Laws(NamedTuple):
     march: int
     Ms: Array
     dMs: Array
-    pieces: int
     linear: NDArray[np.int64]
     O: Array
     dO: Array
@@ -283,8 +282,8 @@ def shift_matrices(Ms, O, given_Ms, dMs, given_O, dO, linear, theta, centre):
     """
     if linear.shape[0] == 0:
         return
-    put_rows(Ms[0], given_Ms[0])
-    put_rows(Ms[1], given_Ms[1])
+    for grade in range(Ms.shape[0]):
+        put_rows(Ms[grade], given_Ms[grade])
     put_rows(O, given_O)
     for r in range(linear.shape[0]):
         shift = theta[linear[r]] - centre[linear[r]]
@@ -292,8 +291,8 @@ def shift_matrices(Ms, O, given_Ms, dMs, given_O, dO, linear, theta, centre):
             continue
         for i in range(Ms.shape[1]):
             for j in range(Ms.shape[2]):
-                Ms[0, i, j] += dMs[0, r, i, j] * shift
-                Ms[1, i, j] += dMs[1, r, i, j] * shift
+                for grade in range(Ms.shape[0]):
+                    Ms[grade, i, j] += dMs[grade, r, i, j] * shift
         for i in range(O.shape[0]):
             for j in range(O.shape[1]):
                 O[i, j] += dO[r, i, j] * shift

@@ -18,7 +18,6 @@ from ...effects.compiled import raise_pending
 from ...engine.inputs import InputSignal
 from ...engine.kernels import march
 from ...engine.point import field_numbers
-from ...engine.setting import PIECES
 from ...engine.simulation import structure_of
 from ...engine.structure import Structure
 from ...exceptions import DivergenceError, ModelError
@@ -91,12 +90,7 @@ class Observer:
         s = self.structure = structure
         self.theta, self.dt, self.hold, self.substeps = theta, dt, hold, substeps
         self.gain = np.ascontiguousarray(gain)
-        step = dt / substeps
-        disc = s.discretize(theta, step, derivatives=False)
-        self._pieces = PIECES if s.jumps else 1
-        fine = s.discretize(theta, step / self._pieces, derivatives=False) if s.jumps else disc
-        self._disc, self._Ms = disc, np.stack([disc.M, fine.M])
-        self._dMs = np.stack([disc.dM, fine.dM])
+        self._disc = s.discretize(theta, dt / substeps, derivatives=False, pieces=s.jumps)
         codes, values, columns, widths = s.laws(theta)
         self._laws = codes, values, np.full_like(columns, -1), widths
         outcodes, outvalues, outcolumns = s.output_laws(theta)
@@ -166,7 +160,7 @@ class Observer:
         none = np.zeros((0, 1, s.n_inputs + 1))
         limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0) + np.abs(Y).max() + np.abs(W).max()))
         blew_up = march(
-            self._Ms, self._dMs, self._pieces, disc.linear, disc.O, disc.dO, disc.P, disc.dP, *self._laws,
+            disc.M, disc.dM, disc.linear, disc.O, disc.dO, disc.P, disc.dP, *self._laws,
             np.ascontiguousarray(drive.W[skip * self.substeps * max(drive.course, 1) :]), drive.course,
             np.ascontiguousarray(drive.Wout[skip:]), none, none, np.zeros(0, dtype=np.int64),
             measured, flags, self.gain, np.zeros((0, 0)), *self._out, x, z, np.zeros((0, n)), self.substeps,
