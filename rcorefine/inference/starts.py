@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import find_peaks, welch
+from scipy.signal import fftconvolve, find_peaks, welch
 
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord
@@ -45,21 +45,28 @@ def growing_lags(structure: Structure, records: Sequence[Measurement]) -> list[f
     list of float
         Empty where the free run does not move, or has no bounds.
     """
-    pairs = []
-    for record in records:
-        run = Engine(structure, record).run(np.zeros(structure.n_parameters), sensitivity=False, check=False)
-        if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
-            return []
-        passed = record.elapsed + record.dt * np.arange(record.n_samples)
-        pairs += [(passed, y, free) for y, free in zip(record.outputs, run.outputs, strict=True)]
-    slips = [float(t[-1] * np.std(np.gradient(x, t)) / np.std(x)) for t, _, x in pairs if np.ptp(x) > 0]
+    pairs = [pair for record in records for pair in _free_run(structure, record)]
+    slips = [float(t[-1] * np.std(np.gradient(x, t)) / np.std(x)) for t, _, x in pairs]
     if not slips:
         return []
     step = _SLIP / max(slips)
     most = min(int(_MOST_DRIFT / step), _DRIFTS)
     tried = step * np.arange(-most, most + 1)
-    alike = [sum(_correlation(y, np.interp(t * (1 + s), t, x)) for t, y, x in pairs) for s in tried]
+    alike = [sum(np.corrcoef(y, np.interp(t * (1 + s), t, x))[0, 1] for t, y, x in pairs) for s in tried]
     return [float(tried[int(np.argmax(alike))])]
+
+
+def _free_run(structure: Structure, record: Measurement) -> list[tuple[Any, ...]]:
+    """Return times, record and free run of each output that moves.
+
+    There is none where the free run has no bounds.
+    """
+    run = Engine(structure, record).run(np.zeros(structure.n_parameters), sensitivity=False, check=False)
+    if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
+        return []
+    passed = record.elapsed + record.dt * np.arange(record.n_samples)
+    pairs = zip(record.outputs, run.outputs, strict=True)
+    return [(passed, y, free) for y, free in pairs if np.ptp(y) > 0 < np.ptp(free)]
 
 
 def common_lag(structure: Structure, record: Measurement) -> float:
@@ -79,21 +86,28 @@ def common_lag(structure: Structure, record: Measurement) -> float:
     float
         0 where the free run does not move, or has no bounds.
     """
-    run = Engine(structure, record).run(np.zeros(structure.n_parameters), sensitivity=False, check=False)
-    if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
-        return 0.0
-    n = record.n_samples
-    pairs = [pair for pair in zip(record.outputs, run.outputs, strict=True) if np.ptp(pair[1]) > 0]
-    alike = [sum(abs(_correlation(y[k:], x[: n - k])) for y, x in pairs) for k in range(n // 3)]
-    return record.dt * int(np.argmax(alike)) if pairs else 0.0
+    count = record.n_samples // 3
+    alike = sum(np.abs(_correlations(y, x, count)) for _, y, x in _free_run(structure, record))
+    return record.dt * int(np.argmax(alike))
 
 
-def _correlation(one: Array, other: Array) -> float:
-    one, other = one - one.mean(), other - other.mean()
-    size = float(np.linalg.norm(one) * np.linalg.norm(other))
-    return float(one @ other) / max(size, 1e-300)
+def _correlations(late: Array, early: Array, count: int) -> Array:
+    """Return the correlation coefficient at each of the first lags.
+
+    At lag k it is that of ``late[k:]`` and ``early[:N - k]``.
+    """
+    y, x = late - late.mean(), early[::-1] - early.mean()  # what a lag leaves of both is their end
+    size = y.size - np.arange(count)
+
+    def left(part: Array) -> Array:
+        return np.asarray(np.cumsum(part[::-1])[::-1][:count])
+
+    both = fftconvolve(y, x)[y.size - 1 :][:count] - left(y) * left(x) / size
+    powers = [np.maximum(left(s * s) - left(s) ** 2 / size, _ROUNDING * (s @ s)) for s in (y, x)]
+    return np.asarray(both / np.maximum(np.sqrt(powers[0] * powers[1]), 1e-300))
 
 
+_ROUNDING = 1e-12  # of a power
 _AT_REST = 0.01  # of the largest rms velocity among several records
 _MOST_STARTS = 24
 
