@@ -88,6 +88,7 @@ class Coordinates:
 
 
 _LARGEST = 1e60
+_UNNOTICED = 0.02  # over the number of samples: a relative decrease that is 0.01 of a log likelihood
 _FAILED = 1e8  # residual level of a simulation that blew up: worse than anything, yet finite
 
 
@@ -681,7 +682,8 @@ def descend(
     evaluations : int
         Simulations at most.
     tolerance : float
-        Relative decrease of the cost below which the descent ends.
+        Relative decrease of the cost below which the descent ends; or where the log likelihood would
+        increase by less than a hundredth.
     known : Evaluation, optional
         What is known at the start.
 
@@ -709,7 +711,7 @@ def descend(
         upper=high,
         sizes=problem.sizes_at,
         evaluations=evaluations,
-        tolerance=tolerance,
+        tolerance=max(tolerance, _UNNOTICED / problem.n_points),
     )
     sizes = problem.sizes_at(run.point)
     lack = promised(run.rows, run.point, low, high, sizes) if np.isfinite(run.cost) else np.inf
