@@ -13,6 +13,7 @@ import rcorefine as rco
 from rcorefine.commands.cli import main
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
+from rcorefine.exceptions import own_arithmetic
 from rcorefine.views.code import comment, effects_code
 
 
@@ -137,6 +138,24 @@ def test_numpy_may_raise_on_everything(data):
         rco.localize_damage(motor(), data)
         rco.Monitor(motor(), dt=0.02, learn=400).run(data)
         assert np.geterr() == before
+
+
+def test_blas_has_one_thread_while_anybody_computes():
+    libraries = pytest.importorskip("threadpoolctl").ThreadpoolController().select(user_api="blas")
+    with libraries.limit(limits=2):  # also where the machine or the environment has one
+        if set(threads(libraries)) != {2}:
+            pytest.skip("this BLAS has one thread only")
+        one, other = own_arithmetic(), own_arithmetic()
+        one.__enter__()
+        other.__enter__()
+        one.__exit__(None, None, None)
+        assert set(threads(libraries)) == {1}
+        other.__exit__(None, None, None)
+        assert set(threads(libraries)) == {2}
+
+
+def threads(libraries):
+    return [one["num_threads"] for one in libraries.info()]
 
 
 # ------------------------------------------------------------------ names in scripts

@@ -35,10 +35,10 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 816, "arguments": 250, "commands": 1159, "comparison": 2256, "data": 2449, "diagnosis": 5371,
-    "effects": 2962, "engine": 3424, "examples": 258, "exercises": 529, "explorer": 1058, "export": 480,
-    "fleet": 1004, "inference": 2729, "localization": 1195, "models": 3472, "refinement": 176,
-    "streaming": 6692, "systems": 587, "views": 3634,
+    ".": 833, "arguments": 250, "commands": 1158, "comparison": 2258, "data": 2449, "diagnosis": 5371,
+    "effects": 2962, "engine": 3423, "examples": 258, "exercises": 529, "explorer": 1057, "export": 480,
+    "fleet": 1004, "inference": 2732, "localization": 1195, "models": 3472, "refinement": 176,
+    "streaming": 6683, "systems": 587, "views": 3634,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.

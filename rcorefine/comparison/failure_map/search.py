@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import stats
 
+from ...exceptions import own_arithmetic
 from ...inference.levels import levels
 from ...results import Result, Row
 from ...systems.linear import Array
@@ -120,6 +121,7 @@ class FailureMap(Result):
         return bool(self.rows)
 
 
+@own_arithmetic()
 def failure_map(comparison: Comparison, index: int) -> FailureMap:
     """Search for where one model of a comparison fails.
 

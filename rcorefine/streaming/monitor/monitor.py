@@ -16,7 +16,7 @@ from ...arguments import as_number, as_text
 from ...data.formats import damaged
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
-from ...exceptions import ModelError, own_arithmetic
+from ...exceptions import ModelError
 from ...inference.levels import levels
 from ...results import Options, Result, picture, show
 from ...systems.discretization import check_sampling_time
@@ -202,7 +202,7 @@ class Monitor(Result):
 
     # ------------------------------------------------------------------ samples in
     @alone
-    @own_arithmetic()
+    @np.errstate(divide="warn", over="warn", invalid="warn", under="ignore")  # NumPy's defaults
     def update(self, w: ArrayLike, y: ArrayLike) -> None:
         """Take one sample or a block.
 
