@@ -14,12 +14,14 @@ def case(rng, n=3, nw=2, ny=2, N=150, p=4, substeps=1, course=0, pattern="off", 
     A = rng.standard_normal((n, n))
     A *= radius / np.abs(np.linalg.eigvals(A)).max(initial=1e-300)
     rows = rng.permutation(p)[:2]
-    at = linear.LinearStep(
-        np.hstack([A, rng.standard_normal((n, 2 * nw))]),
-        rng.standard_normal((2, n, n + 2 * nw)),
+    at = linear.Substep(
+        np.hstack([A, rng.standard_normal((n, 2 * nw))])[None],
+        rng.standard_normal((1, 2, n, n + 2 * nw)),
         rows,
         rng.standard_normal((ny, n + nw)),
         rng.standard_normal((2, ny, n + nw)),
+        np.zeros((0, n + nw)),
+        np.zeros((0, 0, n + nw)),
     )
     points = {0: (N - 1) * substeps, 1: (N - 1) * substeps + 1, 2: 2 * (N - 1) * substeps}[course]
     W, Wout = rng.standard_normal((points, nw)), rng.standard_normal((N, nw))
@@ -46,7 +48,7 @@ def by_hand(at, drive, corrections, x, S, substeps, far, limit):
     for k in range(N):
         seen = np.concatenate([x, drive.Wout[k]])
         y[k], rise = at.O @ seen, at.O[:, :n] @ S.T
-        rise[:, at.rows] += (at.dO @ seen).T
+        rise[:, at.linear] += (at.dO @ seen).T
         rise[:, drive.driven] += at.O[:, n:] @ drive.dWout[:, k].T
         slopes[k] = rise
         for i in np.flatnonzero(corrections.use[k]):
@@ -57,10 +59,10 @@ def by_hand(at, drive, corrections, x, S, substeps, far, limit):
             row = (k * substeps + j) * max(drive.course, 1)
             after = row + min(drive.course, 1)
             step = np.concatenate([x, drive.W[row], drive.W[after]])
-            x, S = at.M @ step, S @ at.M[:, :n].T
-            S[at.rows] += at.dM @ step
+            x, S = at.M[0] @ step, S @ at.M[0][:, :n].T
+            S[at.linear] += at.dM[0] @ step
             both = np.concatenate([drive.dW[:, row], drive.dW[:, after]], axis=1)
-            S[drive.driven] += both @ at.M[:, n:].T
+            S[drive.driven] += both @ at.M[0][:, n:].T
     return y, slopes, X
 
 

@@ -190,7 +190,7 @@ class Engine:
         observer = Corrections(self._measured, flags, K)
         if lawless:
             Yout, SY, X, blew_up = simulate_linear(
-                at.linear, drive, observer, x, S, self.substeps, self._far, _BEYOND
+                at.substep, drive, observer, x, S, self.substeps, self._far, _BEYOND
             )
         else:
             blew_up = self._march(at, drive, observer, x, (S, self.substeps, Yout, SY, X, F))

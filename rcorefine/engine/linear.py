@@ -25,28 +25,33 @@ _LARGE = 1e60  # entries of a power of the transition: beyond, one by one, so th
 _AT_ONCE = 60_000  # numbers that are carried together: more leave the cache of the processor
 
 
-class LinearStep(NamedTuple):
-    """Matrices of a model without nonlinear forces, for one substep.
+class Substep(NamedTuple):
+    """Matrices of a substep and its pieces, with derivatives.
 
     Attributes
     ----------
-    M : ndarray, shape (n, n + 2 n_w)
-        Transition, and what the inputs at the start and at the end of a substep add.
-    dM : ndarray, shape (q, n, n + 2 n_w)
-        Its derivatives by the parameters `rows`.
-    rows : ndarray of int, shape (q,)
-        Columns of the sensitivity that dM and dO drive.
-    O : ndarray, shape (n_y, n + n_w)
+    M : ndarray, shape (grades, n, n + 2 n_w + 2 m)
+        Transition, and what inputs and forces at the start and at the end add: of a substep, of a quarter of
+        it, and so on.
+    dM : ndarray, shape (grades, q, n, n + 2 n_w + 2 m)
+        Its derivatives by the parameters `linear`.
+    linear : ndarray of int, shape (q,)
+        Columns of the sensitivity that dM, dO and dP drive.
+    O : ndarray, shape (n_y, n + n_w + m)
         Outputs.
-    dO : ndarray, shape (q, n_y, n + n_w)
+    dO : ndarray, shape (q, n_y, n + n_w + m)
         Their derivatives.
+    P, dP : ndarray
+        What places feel, and its derivatives.
     """
 
     M: Array
     dM: Array
-    rows: NDArray[np.int64]
+    linear: NDArray[np.int64]
     O: Array
     dO: Array
+    P: Array
+    dP: Array
 
 
 class Corrections(NamedTuple):
@@ -147,14 +152,14 @@ def _marched(
 
 
 def simulate_linear(
-    at: LinearStep, drive: Drive, corrections: Corrections, x: Array, S: Array, substeps: int, far: Array,
+    at: Substep, drive: Drive, corrections: Corrections, x: Array, S: Array, substeps: int, far: Array,
     limit: float,
 ) -> tuple[Array, Array, Array, int]:  # fmt: skip
     """Simulate a linear model with its sensitivities.
 
     Parameters
     ----------
-    at : LinearStep
+    at : Substep
         Matrices of a substep.
     drive : Drive
         Inputs.
@@ -186,18 +191,18 @@ def simulate_linear(
             y, X = np.full((N, ny), np.nan), np.full((N, n), np.nan)
             sensitivity = np.zeros((N, ny, p))
             into = x.copy(), S.copy(), substeps, y, sensitivity, X, limit, far
-            blew_up: int = linear_march(*at, *drive, *corrections, *into)
+            blew_up: int = linear_march(at.M[0], at.dM[0], *at[2:5], *drive, *corrections, *into)
             return y, sensitivity, X, blew_up
         return _in_blocks(at, drive, corrections, x, S, substeps, far, limit)
 
 
 def _in_blocks(
-    at: LinearStep, drive: Drive, corrections: Corrections, x: Array, S: Array, substeps: int, far: Array,
+    at: Substep, drive: Drive, corrections: Corrections, x: Array, S: Array, substeps: int, far: Array,
     limit: float,
 ) -> tuple[Array, Array, Array, int]:  # fmt: skip
     n, p, (N, nw) = len(x), len(S), drive.Wout.shape
     C, D = np.ascontiguousarray(at.O[:, :n]), at.O[:, n : n + nw]
-    over, ends = _Sample(at.M, substeps), _ends(drive.W, drive.course, substeps)
+    over, ends = _Sample(at.M[0], substeps), _ends(drive.W, drive.course, substeps)
     stretches = corrections.stretches
     measured = np.where(corrections.use, corrections.measured, 0.0).T[:, :, None]
     direct = (D @ drive.Wout.T)[:, :, None]
@@ -217,9 +222,9 @@ def _in_blocks(
     for a in range(0, p, width):
         group = np.arange(a, min(a + width, p))
         added, direct = np.zeros((n, N - 1, len(group))), np.zeros((len(C), N, len(group)))
-        mine = (at.rows >= a) & (at.rows <= group[-1])
-        added[:, :, at.rows[mine] - a] = over.gathered(_by_each(at.dM[mine], steps))
-        direct[:, :, at.rows[mine] - a] = _by_each(at.dO[mine], signals)
+        mine = (at.linear >= a) & (at.linear <= group[-1])
+        added[:, :, at.linear[mine] - a] = over.gathered(_by_each(at.dM[0][mine], steps))
+        direct[:, :, at.linear[mine] - a] = _by_each(at.dO[mine], signals)
         for r in np.flatnonzero((drive.driven >= a) & (drive.driven <= group[-1])):
             column, pushes = drive.driven[r] - a, over.pushes(_ends(drive.dW[r], drive.course, substeps))
             added[:, :, column] += over.gathered(pushes[..., None])[:, :, 0]

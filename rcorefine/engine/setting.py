@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..systems.discretization import exponential, power_of_two
 from ..systems.linear import Array
-from .linear import LinearStep
+from .linear import Substep
 from .point import field_numbers
 
 if TYPE_CHECKING:
@@ -30,32 +30,26 @@ class Setting:
 
     Attributes
     ----------
-    substep : tuple
-        Matrices of a substep and of its pieces, their derivatives, and what the outputs and the ports take.
+    substep : Substep
+        Matrices and their derivatives.
     laws, outputs, field : tuple
         Codes, numbers and columns of the laws at ports, of those of the sensors, and of the field.
     finite : bool
         Whether the matrices are numbers.
     """
 
-    substep: tuple[Any, ...]
+    substep: Substep
     laws: tuple[Any, ...]
     outputs: tuple[Any, ...]
     field: tuple[Any, ...]
     finite: bool
-
-    @property
-    def linear(self) -> LinearStep:
-        """Return the matrices that `simulate_linear` takes."""
-        M, dM, rows, O, dO = self.substep[:5]
-        return LinearStep(M[0], dM[0], rows, O, dO)
 
     def decay(self, substeps: int, gain: Array, samples: int) -> Array:
         """Return the linear response to unit initial states, (N, n_y, n).
 
         At every sample the outputs correct the states by a gain (n, n_y).
         """
-        M, O = self.substep[0][0], self.substep[3]
+        M, O = self.substep.M[0], self.substep.O
         n = len(M)
         with np.errstate(all="ignore"):  # what grows beyond all numbers is noticed by who asks
             ahead = np.linalg.matrix_power(M[:, :n], substeps)
@@ -89,15 +83,14 @@ def setting(structure: Structure, theta: Array, step: float, derivatives: bool) 
     """
 
     def made() -> Setting:
-        disc = structure.discretize(theta, step, derivatives=derivatives, pieces=structure.jumps)
-        substep = (disc.M, disc.dM, disc.linear, disc.O, disc.dO, disc.P, disc.dP)
+        substep = structure.discretize(theta, step, derivatives=derivatives, pieces=structure.jumps)
         codes, values, columns, widths = structure.laws(theta)
         outcodes, outvalues, outcolumns = structure.output_laws(theta)
         field, fvalues, fcolumns = field_numbers(structure, theta)
         if not derivatives:
             columns, outcolumns, fcolumns = (np.full_like(one, -1) for one in (columns, outcolumns, fcolumns))
         laws, outputs = (codes, values, columns, widths), (outcodes, outvalues, outcolumns)
-        return Setting(substep, laws, outputs, (field, fvalues, fcolumns), bool(np.isfinite(disc.M).all()))
+        return Setting(substep, laws, outputs, (field, fvalues, fcolumns), bool(np.isfinite(substep.M).all()))
 
     return structure.kept(("setting", theta.tobytes(), step, derivatives), made)
 
@@ -105,25 +98,9 @@ def setting(structure: Structure, theta: Array, step: float, derivatives: bool) 
 TINY_STEP = 1e-30  #: of the imaginary parts by which derivatives are taken
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Discrete:
-    """One substep and its pieces, with derivatives by parameters.
-
-    `linear` lists these. The first axis of M and dM is the grade: a substep, a quarter of it, and so on.
-    """
-
-    M: Array
-    dM: Array
-    O: Array
-    dO: Array
-    P: Array
-    dP: Array
-    linear: NDArray[np.int64]
-
-
 def discretized(
     structure: Structure, theta: Array, step: float, *, derivatives: bool = True, pieces: bool = False
-) -> Discrete:
+) -> Substep:
     """One substep of length `step` seconds and, where asked for, its pieces.
 
     They are exact for the linear part. Inputs and port forces run linearly over each; a held input is the
@@ -157,10 +134,8 @@ def discretized(
         dO, dP = (part[: len(linear)].imag / TINY_STEP for part in (O, at.P))
     if not dP.any():
         dP = np.zeros((0, *at.P.shape[1:]))
-    M, dM, O, dO, P, dP = (
-        np.ascontiguousarray(part) for part in (M[:, 0].real, dM, O[0].real, dO, at.P[0].real, dP)
-    )
-    return Discrete(M, dM, O, dO, P, dP, linear)
+    parts = (M[:, 0].real, dM, linear, O[0].real, dO, at.P[0].real, dP)
+    return Substep(*(np.ascontiguousarray(part) for part in parts))
 
 
 def tiny_steps(structure: Structure, theta: Array, linear: NDArray[np.int64]) -> Matrices:

@@ -24,9 +24,10 @@ from ..models.conversion import as_physical
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .controlled import open_loop
+from .linear import Substep
 from .matrices import Matrices, continuous_matrices, site_of
 from .point import about_point
-from .setting import Discrete, discretized
+from .setting import discretized
 
 _KEPT = 8  # of what hangs on the coefficients: with and without derivatives
 _Made = TypeVar("_Made")
@@ -237,7 +238,7 @@ class Structure:
 
     def discretize(
         self, theta: Array, step: float, *, derivatives: bool = True, pieces: bool = False
-    ) -> Discrete:
+    ) -> Substep:
         """Return one substep of `step` seconds, exact for the linear part.
 
         Also pieces of it, for forces that jump within.
