@@ -327,13 +327,15 @@ class Problem:
     def at_bound(self, point: Array, jacobian: Array) -> list[str]:
         """Return the labels of the coefficients that lie on a bound.
 
-        The tolerance depends on how strongly a coefficient affects the residual.
+        A coefficient lies there if the way to the bound changes the residual by less than a thousandth of
+        the noise. With a bound other than zero it must also be a thousandth of the bound at most.
         """
         felt = np.linalg.norm(self.coordinates.columns(jacobian, point), axis=0)
         box, found = self.coordinates.of(point), []
         for bound, inner in zip(self.bounds(), self.box(), strict=True):
             for i, parameter in enumerate(self.structure.parameters):
-                near = 1e-6 * abs(bound[i]) if bound[i] or not felt[i] else 1e-3 / felt[i]
+                size, near = abs(bound[i]), 1e-3 / felt[i] if felt[i] else 0.0
+                near = np.clip(near, 1e-6 * size, 1e-3 * size) if size else near
                 if np.isfinite(bound[i]) and abs(box[i] - bound[i]) <= max(
                     near, 2 * abs(inner[i] - bound[i])
                 ):
