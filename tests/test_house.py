@@ -35,9 +35,9 @@ ORDER = (
 #: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 833, "arguments": 250, "commands": 1158, "comparison": 2258, "data": 2449, "diagnosis": 5371,
+    ".": 833, "arguments": 250, "commands": 1158, "comparison": 2258, "data": 2449, "diagnosis": 5374,
     "effects": 2962, "engine": 3410, "examples": 258, "exercises": 529, "explorer": 1057, "export": 480,
-    "fleet": 1004, "inference": 2732, "localization": 1195, "models": 3472, "refinement": 176,
+    "fleet": 1004, "inference": 2733, "localization": 1195, "models": 3472, "refinement": 176,
     "streaming": 6683, "systems": 587, "views": 3634,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and

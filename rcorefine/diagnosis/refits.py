@@ -24,6 +24,7 @@ _SHARES = (1.0, 0.4, 0.1)  # shares of the starting sizes: the linear solution m
 _STEP = 0.25  # standard deviations that halving the substep may shift a coefficient
 _WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a jump is smoothed
 _NOISE_ROUNDS, _FINER, _WIDER = 3, 3, 4
+_HOPE = 3.0  # times what the next full step promises
 _IMITATED, _IMITATIONS = 0.6, 3  # most share of a force that an imitation leaves; imitations tried
 
 
@@ -250,12 +251,14 @@ class Fitter:
                     other = trial.problem.like(
                         Structure(structure.model, structure.effects, constants=widths)
                     )
-                    run = _descended(other, trial.point, trial.noise, gain, 5, 1e-7)
-                    again = (
-                        self.scored(replace(trial, problem=other, run=run))
-                        if np.isfinite(run.cost)
-                        else trial
-                    )
+                    again = trial
+                    for most in (1, 5):  # a look, and a descent where the look leaves hope
+                        run = _descended(other, trial.point, trial.noise, gain, most, 1e-7)
+                        if not np.isfinite(run.cost):
+                            break
+                        again = self.scored(replace(trial, problem=other, run=run))
+                        if not again.total + _HOPE * run.lack > trial.total + price:
+                            break
                     if not again.total > trial.total + price:
                         break
                     trial, price = again, 1.0

@@ -334,8 +334,8 @@ class Problem:
         box, found = self.coordinates.of(point), []
         for bound, inner in zip(self.bounds(), self.box(), strict=True):
             for i, parameter in enumerate(self.structure.parameters):
-                size, near = abs(bound[i]), 1e-3 / felt[i] if felt[i] else 0.0
-                near = np.clip(near, 1e-6 * size, 1e-3 * size) if size else near
+                size, near = abs(bound[i]), 1e-3 / max(felt[i], 1e-300)
+                near = np.clip(near, 1e-6 * size, 1e-3 * size) if size else near * (felt[i] > 0)
                 if np.isfinite(bound[i]) and abs(box[i] - bound[i]) <= max(
                     near, 2 * abs(inner[i] - bound[i])
                 ):
