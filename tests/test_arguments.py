@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import sys
+from types import SimpleNamespace
 
 import control as ct
 import numpy as np
@@ -140,22 +142,29 @@ def test_numpy_may_raise_on_everything(data):
         assert np.geterr() == before
 
 
-def test_blas_has_one_thread_while_anybody_computes():
-    libraries = pytest.importorskip("threadpoolctl").ThreadpoolController().select(user_api="blas")
-    with libraries.limit(limits=2):  # also where the machine or the environment has one
-        if set(threads(libraries)) != {2}:
-            pytest.skip("this BLAS has one thread only")
-        one, other = own_arithmetic(), own_arithmetic()
-        one.__enter__()
-        other.__enter__()
-        one.__exit__(None, None, None)
-        assert set(threads(libraries)) == {1}
-        other.__exit__(None, None, None)
-        assert set(threads(libraries)) == {2}
+def test_blas_has_one_thread_while_anybody_computes(monkeypatch):
+    """Of two callers that overlap, the last one restores the number, whatever the order."""
+    threads = [8]
 
+    class Limits:
+        def __init__(self, limits, user_api):
+            assert user_api == "blas"
+            self.before, threads[0] = threads[0], limits
 
-def threads(libraries):
-    return [one["num_threads"] for one in libraries.info()]
+        def restore_original_limits(self):
+            threads[0] = self.before
+
+    monkeypatch.setitem(sys.modules, "threadpoolctl", SimpleNamespace(threadpool_limits=Limits))
+    one, other = own_arithmetic(), own_arithmetic()
+    one.__enter__()
+    other.__enter__()
+    one.__exit__(None, None, None)
+    assert threads == [1]
+    other.__exit__(None, None, None)
+    assert threads == [8]
+    with pytest.raises(ZeroDivisionError), own_arithmetic():
+        1 / 0  # noqa: B018
+    assert threads == [8]
 
 
 # ------------------------------------------------------------------ names in scripts

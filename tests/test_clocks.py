@@ -13,7 +13,7 @@ from scipy.linalg import expm
 import rcorefine as rco
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
-from rcorefine.inference.starts import growing_lags
+from rcorefine.inference.starts import common_lag, growing_lags
 
 A, B = np.array([[0.0, 1.0], [-380.0, -0.4]]), np.array([0.0, 1.0])
 MODEL = ct.ss(A, B[:, None], [[1.0, 0.0]], 0, states=["x", "v"], inputs="force", outputs="x")
@@ -147,3 +147,24 @@ def test_no_stream_no_response_and_no_equations_of_two_clocks():
         found = rco.refine(MODEL, data, [effect])
     with pytest.raises(rco.ModelError, match="state equation"):
         _ = found.nonlinear
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-9])
+def test_the_common_lag_is_that_of_the_highest_correlation_coefficient(unit):
+    data, rng = record(3), np.random.default_rng(4)
+    free = rco.simulate(MODEL, data, "zero").outputs[0]
+    late = np.concatenate([np.cumsum(rng.standard_normal(41)), free[:-41]]) + 0.3 * free.std()
+    shown = rco.Measurement(data.inputs, unit * late, dt=DT)
+    count = late.size // 3
+    alike = [abs(np.corrcoef(late[k:], free[: late.size - k])[0, 1]) for k in range(count)]
+    assert common_lag(Structure(MODEL), shown) == pytest.approx(DT * int(np.argmax(alike)))
+
+
+def test_a_motion_at_the_end_alone_has_no_drift_that_is_no_number():
+    """A clock that runs slower leaves out the only samples that move: there is no correlation then."""
+    force = np.zeros(600)
+    force[-2] = 1.0
+    data = rco.Measurement(force, np.random.default_rng(5).standard_normal(600), dt=DT)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.isfinite(growing_lags(Structure(MODEL), [data])).all()

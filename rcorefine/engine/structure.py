@@ -241,7 +241,7 @@ class Structure:
     ) -> Substep:
         """Return one substep of `step` seconds, exact for the linear part.
 
-        Also pieces of it, for forces that jump within.
+        With `pieces` also a quarter of it and a quarter of that, for forces that jump within.
 
         The result is kept because it is needed again.
         """

@@ -28,6 +28,7 @@ _MOST_DRIFT, _DRIFTS = 0.02, 300  # share by which clocks may run apart, and how
 _SLIP = 0.5  # radians at the end of the record from one to the next
 
 
+@np.errstate(invalid="ignore")  # without a motion the correlation is no number
 def growing_lags(structure: Structure, records: Sequence[Measurement]) -> list[float]:
     """Return the share of time by which outputs precede the simulation.
 
@@ -52,8 +53,8 @@ def growing_lags(structure: Structure, records: Sequence[Measurement]) -> list[f
     step = _SLIP / max(slips)
     most = min(int(_MOST_DRIFT / step), _DRIFTS)
     tried = step * np.arange(-most, most + 1)
-    alike = [sum(np.corrcoef(y, np.interp(t * (1 + s), t, x))[0, 1] for t, y, x in pairs) for s in tried]
-    return [float(tried[int(np.argmax(alike))])]
+    alike = [[np.corrcoef(y, np.interp(t * (1 + s), t, x))[0, 1] for t, y, x in pairs] for s in tried]
+    return [float(tried[int(np.argmax(np.nansum(alike, axis=1)))])]
 
 
 def _free_run(structure: Structure, record: Measurement) -> list[tuple[Any, ...]]:
@@ -86,8 +87,7 @@ def common_lag(structure: Structure, record: Measurement) -> float:
     float
         0 where the free run does not move, or has no bounds.
     """
-    count = record.n_samples // 3
-    alike = sum(np.abs(_correlations(y, x, count)) for _, y, x in _free_run(structure, record))
+    alike = sum(np.abs(_correlations(y, x, y.size // 3)) for _, y, x in _free_run(structure, record))
     return record.dt * int(np.argmax(alike))
 
 
@@ -104,7 +104,7 @@ def _correlations(late: Array, early: Array, count: int) -> Array:
 
     both = fftconvolve(y, x)[y.size - 1 :][:count] - left(y) * left(x) / size
     powers = [np.maximum(left(s * s) - left(s) ** 2 / size, _ROUNDING * (s @ s)) for s in (y, x)]
-    return np.asarray(both / np.maximum(np.sqrt(powers[0] * powers[1]), 1e-300))
+    return np.asarray(both / np.sqrt(powers[0]) / np.sqrt(powers[1]))
 
 
 _ROUNDING = 1e-12  # of a power
