@@ -3,5 +3,5 @@
 Records are checked, read from files, and matched with a model.
 """
 
-#: Behavior of the inputs between the samples. It stands here for the terminal, which is to start at once.
+#: Behavior of the inputs between the samples. Defined here, so that the command starts at once.
 HOLDS = ("zoh", "foh", "bandlimited")

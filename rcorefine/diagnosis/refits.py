@@ -24,7 +24,7 @@ _SHARES = (1.0, 0.4, 0.1)  # shares of the starting sizes: the linear solution m
 _STEP = 0.25  # standard deviations that halving the substep may shift a coefficient
 _WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a jump is smoothed
 _NOISE_ROUNDS, _FINER, _WIDER = 3, 3, 4
-_HOPE = 3.0  # times what the next full step promises
+_HOPE = 3.0  # times the predicted gain of the next step, that a descent may still gain
 _IMITATED, _IMITATIONS = 0.6, 3  # most share of a force that an imitation leaves; imitations tried
 
 
@@ -252,7 +252,7 @@ class Fitter:
                         Structure(structure.model, structure.effects, constants=widths)
                     )
                     again = trial
-                    for most in (1, 5):  # a look, and a descent where the look leaves hope
+                    for most in (1, 5):  # one evaluation; a descent only if that can still win
                         run = _descended(other, trial.point, trial.noise, gain, most, 1e-7)
                         if not np.isfinite(run.cost):
                             break
