@@ -2,6 +2,7 @@
 
 import ast
 import importlib.util
+import os
 import pickle
 import subprocess
 import sys
@@ -349,6 +350,58 @@ def test_pickles_and_equality():
     assert rco.Effect("drag", "link1", law=Drag) == rco.Effect("custom", "link1", law=Drag)
 
 
+OUTSIDE = """
+import sys
+import numpy as np
+import params
+from rcorefine import Effect
+from rcorefine.effects.effect import unit_forces
+
+KNOTS = np.array([-5.0, 0.0, 5.0])
+
+def own(d, v): return K * d**3
+def of_module(d, v): return params.K * d
+def of_table(d, v): return np.interp(d, KNOTS, VALUES)
+def of_class(d, v): return params.Settings.K * d
+def helper(d): return K * d
+def helped(d, v): return helper(d)
+def repeated(d, v):
+    force = 0.0
+    for _ in range(3):
+        force += K * d / 3.0
+    return force
+def maker(k):
+    def closure(d, v): return k * d
+    return closure
+
+effects = []
+for value in sys.argv[1:]:
+    K = params.K = params.Settings.K = float(value)
+    VALUES = K * KNOTS
+    laws = (own, of_module, of_table, of_class, helped, repeated, maker(K))
+    effects = effects[:-1] or [Effect("custom", "link1", law=law) for law in laws[:-1]]
+    effects.append(Effect("custom", "link1", law=laws[-1]))
+    one = np.ones(1)
+    print(*(float(unit_forces(effect, one, one, [{}])[0][0]) for effect in effects))
+"""
+
+
+def test_a_law_takes_the_constants_of_now(tmp_path):
+    """In another process and later in the same one: each law is K at d = 1."""
+    (tmp_path / "params.py").write_text("class Settings: pass\n")
+    (tmp_path / "script.py").write_text(OUTSIDE)
+    path = {**os.environ, "PYTHONPATH": str(Path(rco.__file__).parents[1])}
+    for values in (("60", "90"), ("90",), ("60",)):
+        done = subprocess.run(
+            [sys.executable, "script.py", *values],
+            capture_output=True, text=True, check=True, cwd=tmp_path, env=path,
+        )  # fmt: skip
+        found = np.array([line.split() for line in done.stdout.splitlines()], dtype=float)
+        np.testing.assert_allclose(found, np.array(values, dtype=float)[:, None] * np.ones(7), rtol=1e-12)
+    if NUMBA:  # compiled code is kept for each value that a process begins with
+        assert 12 <= len(list((tmp_path / "__pycache__").glob("script.*.nbc"))) <= 14
+
+
 def test_a_registered_law_unpickles_where_nobody_imported_it(tmp_path):
     loaded("power_drag")
     (tmp_path / "effect.pickle").write_bytes(pickle.dumps(rco.Effect("power_drag", "mass1")))
@@ -358,7 +411,7 @@ def test_a_registered_law_unpickles_where_nobody_imported_it(tmp_path):
         capture_output=True,
         text=True,
         check=True,
-        env={**__import__("os").environ, "PYTHONPATH": f"{DOCS}:{Path(rco.__file__).parents[1]}"},
+        env={**os.environ, "PYTHONPATH": f"{DOCS}:{Path(rco.__file__).parents[1]}"},
     )
     assert done.stdout.strip() == "power_drag at mass1"
 
@@ -413,7 +466,7 @@ class TestWhatIsWrongIsSaid:
         table = {"rate": 2.0}
 
         def odd(d, v):
-            return sorted([table["rate"]])[0] * v * abs(v)
+            return table["rate"] * v * abs(float(str(v)))  # symbols and numba have no text of a number
 
         model, data = chain(200)
         with pytest.warns(rco.RCOWarning, match="cannot be compiled"):

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import ctypes
 import math
-import sys
 from collections.abc import Callable
 from contextlib import suppress
+from hashlib import sha256
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -70,7 +70,7 @@ else:
         _PLAIN[code](d, v, d_start, z_start, values[i], width, w, w.shape[0], out[i])
 
 
-def address(of: FormulaLaw) -> tuple[int, Any]:
+def address(of: FormulaLaw, read: bytes, *, cache: bool) -> tuple[tuple[int, Any], bool]:
     """Code of a law for the kernels.
 
     Derivatives are those of its `slopes`. Without these they are exact if the formula can be traced, and
@@ -80,32 +80,37 @@ def address(of: FormulaLaw) -> tuple[int, Any]:
     ----------
     of : FormulaLaw
         The law.
+    read : bytes
+        All that the law reads, by `read_by`. If it is empty, nothing of the law is kept.
+    cache : bool
+        Whether the compiled code may be kept on disk.
 
     Returns
     -------
-    code : int
-        What `evaluate` takes.
-    keep : object
-        To be kept as long as the code is used.
+    code : int, object
+        What `evaluate` takes; and what must be kept as long as the code is used.
+    live : bool
+        Whether it calls the law as it stands, with what that reads then.
     """
     law, slopes = of.law, of.slopes
-    if slopes is None and _importable(law):  # a closure may change its variables
+    if slopes is None and read:  # otherwise its constants may change without notice
         with suppress(Exception):  # symbols go through a user's code: what that raises is not foreseeable
-            return _exact(of)
+            return _exact(of, cache), False
     source = _by_differences(of) if slopes is None else _by_slopes(of)
     plain = _defined(source, {"law": law, "slopes": slopes, "carray": lambda w, n: w}, law)
     if not NUMBA:
-        return code_of(plain)
+        return code_of(plain), True
     try:
         names = {"law": compiled_law(law), "slopes": None if slopes is None else compiled_law(slopes)}
-        return code_of(plain, _defined(source, {**names, "carray": None}, law), cache=_importable(law))
+        fast = _defined(source, {**names, "carray": None}, law, read)
+        return code_of(plain, fast, cache=cache and bool(read)), False
     except TypeError as error:
         warn(
             f"{of.name} cannot be compiled and is called in Python, which is some hundred times slower: "
             f"{str(error).strip().splitlines()[0]}",
             RCOWarning,
         )
-    return code_of(plain)
+    return code_of(plain), True
 
 
 def code_of(
@@ -194,7 +199,7 @@ def _by_differences(of: FormulaLaw) -> str:
     return "\n    ".join(lines)
 
 
-def _exact(of: FormulaLaw) -> tuple[int, Any]:
+def _exact(of: FormulaLaw, cache: bool) -> tuple[int, Any]:
     """Code of a law with exact derivatives.
 
     Raises
@@ -229,7 +234,7 @@ def _exact(of: FormulaLaw) -> tuple[int, Any]:
     plain = in_python(lambda functions: _defined(source, {"math": functions}, of.law))
     if not _agrees(plain, of):
         raise Untraceable("the code gives other values than the formula")
-    return code_of(plain, _defined(source, {}, of.law), cache=True)
+    return code_of(plain, _defined(source, {}, of.law), cache=cache)
 
 
 def _agrees(plain: Callable[..., None], of: FormulaLaw) -> bool:
@@ -253,10 +258,13 @@ def _agrees(plain: Callable[..., None], of: FormulaLaw) -> bool:
     return agreed
 
 
-def _defined(source: str, names: dict[str, Any], law: Callable[..., Any]) -> Callable[..., None]:
+def _defined(
+    source: str, names: dict[str, Any], law: Callable[..., Any], key: bytes = b""
+) -> Callable[..., None]:
     """Return the function that a source text defines.
 
-    It is placed in the file of its law, so that numba caches it there.
+    It is placed in the file of its law, so that numba caches it there. Numba's cache does not look at
+    constants; so the function's name has a digest of its text and of `key`, all that it reads beside.
     """
     code = getattr(getattr(law, "py_func", law), "__code__", None)
     file, line = ("<law>", 1) if code is None else (code.co_filename, code.co_firstlineno)
@@ -264,19 +272,9 @@ def _defined(source: str, names: dict[str, Any], law: Callable[..., Any]) -> Cal
     exec(compile("\n" * (line - 1) + source, file, "exec"), scope)
     function: Callable[..., None] = scope["evaluate"]
     function.__module__ = getattr(law, "__module__", __name__)
-    function.__qualname__ = f"{getattr(law, '__qualname__', 'law')}.evaluate"
+    digest = sha256(source.encode() + key).hexdigest()[:16]
+    function.__qualname__ = f"{getattr(law, '__qualname__', 'law')}.evaluate_{digest}"
     return function
-
-
-def _importable(function: Any) -> bool:
-    """Return whether a function can be found by its name.
-
-    Otherwise it may be a closure, whose variables are in no key of a cache.
-    """
-    found: Any = sys.modules.get(getattr(function, "__module__", None) or "")
-    for part in getattr(function, "__qualname__", "<none>").split("."):
-        found = getattr(found, part, None)
-    return found is not None and found is function
 
 
 _ROW = ctypes.POINTER(ctypes.c_double)

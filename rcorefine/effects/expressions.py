@@ -10,9 +10,11 @@ from __future__ import annotations
 import builtins
 import math
 import operator
+import pickle
+import sys
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial, reduce
-from types import CellType, FunctionType, MethodType, SimpleNamespace
+from types import CellType, CodeType, FunctionType, MethodType, ModuleType, SimpleNamespace
 from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
@@ -20,6 +22,7 @@ import numpy as np
 #: What numpy calls the functions of math, where it is another name.
 OF_NUMPY = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh"}
 OF_NUMPY |= {"atan2": "arctan2", "pow": "power"}
+_LIBRARIES = sys.stdlib_module_names | {"numpy", "scipy", "numba"}
 _QUIET = SimpleNamespace(  # math without errors
     **{name: getattr(np, OF_NUMPY.get(name, name), None) for name in dir(math) if not name.startswith("_")}
 )
@@ -529,6 +532,59 @@ def _named(function: FunctionType) -> set[str]:
         found.update(code.co_names)
         waiting += [one for one in code.co_consts if hasattr(one, "co_names")]
     return found
+
+
+def read_by(*functions: Any) -> bytes:
+    """Return the code of functions and the values that they read, as bytes.
+
+    Constants, tables, variables of closures and attributes of modules and classes count, and helpers with
+    what these read. Libraries do not.
+
+    Parameters
+    ----------
+    *functions : callable or None
+        As a user wrote them, or compiled by numba.
+
+    Returns
+    -------
+    bytes
+        Other ones after any change, the same in each process; empty if a value cannot be written as bytes.
+    """
+    found: list[bytes] = []
+    done: set[int] = set()
+    waiting: list[tuple[Any, list[str]]] = [(one, []) for one in functions]
+    while waiting:
+        value, names = waiting.pop()
+        value = getattr(value, "py_func", value)
+        if isinstance(value, (FunctionType, MethodType, ModuleType, type)):
+            home = str(getattr(value, "__module__", None) or value.__name__).partition(".")[0]
+            if id(value) not in done and home not in _LIBRARIES:
+                done.add(id(value))
+                waiting += _parts(value, names)
+        elif isinstance(value, CodeType):
+            found.append(value.co_code)
+            waiting += [(one, names) for one in (value.co_names, *value.co_consts)]
+        elif callable(value) and hasattr(value, "__name__"):  # of numpy or numba
+            found.append(value.__name__.encode())
+        else:
+            try:
+                found.append(pickle.dumps(value))
+            except Exception:  # what a user's object raises is not foreseeable
+                return b""
+    return b"".join(found)
+
+
+def _parts(value: Any, names: list[str]) -> list[tuple[Any, list[str]]]:
+    """Return the parts of a function, or those `names` of a module."""
+    if isinstance(value, MethodType):
+        return [(value.__func__, names), (value.__self__, names)]
+    if not isinstance(value, FunctionType):
+        return [(getattr(value, name), names) for name in names if hasattr(value, name)]
+    names = sorted(_named(value))
+    parts = [value.__code__, value.__defaults__, value.__kwdefaults__]
+    parts += [cell.cell_contents for cell in value.__closure__ or ()]
+    parts += [value.__globals__[name] for name in names if name in value.__globals__]
+    return [(one, names) for one in parts]
 
 
 class _Math:

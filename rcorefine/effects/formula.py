@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from ..systems.linear import Array
 from .compiled import MAX_COEFFICIENTS, address, raise_pending, through
+from .expressions import read_by
 from .law import Law
 
 FADED = 1e-3  # of what was before a record: as good as forgotten
@@ -112,11 +113,15 @@ class FormulaLaw(Law):
         return (*self.coefficient_names, *(name for name in self.constants if name != "width"))
 
     @cached_property
-    def _address(self) -> tuple[int, Any]:
+    def _made(self) -> dict[bytes, tuple[int, Any]]:
+        """Codes of the law for each set of values that it has read.
+
+        Kernels may still hold an old one. The key b"" is that of code that calls the law as it stands.
+        """
         self.checked()
         if not hasattr(self, "law"):
             raise ct.ControlArgument(f"{self.name} has no formula: write a static method law(...)")
-        return address(self)
+        return {}
 
     @property
     def needs_starts(self) -> bool:
@@ -130,8 +135,16 @@ class FormulaLaw(Law):
 
     @property
     def code(self) -> int:
-        """Code by which kernels call the law, valid in this process only."""
-        return self._address[0]
+        """Code of the law as it is now, valid in this process only."""
+        made, law, slopes = self._made, self.law, self.slopes
+        read = b"" if b"" in made else read_by(law, slopes)
+        if read not in made:
+            found, live = address(self, read, cache=not made)  # a sweep leaves no file for each value
+            if not live and read_by(law, slopes) != read:  # the law itself changes what it reads
+                found, live = address(self, b"", cache=False)[0], True
+            read = b"" if live else read
+            made[read] = found
+        return made[read][0]
 
     def unseen(self, dt: float, *values: float) -> float:
         """Return the number of samples that depend on the unknown past.
