@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import re
 import shutil
 import subprocess
 import sys
+import warnings
+from dataclasses import replace
+from math import tanh
 
 import control as ct
 import numpy as np
@@ -178,6 +182,159 @@ def test_the_heads_of_programs(better):
     assert text.startswith("model chain\n")
     assert text.rstrip().endswith("end chain;")
     assert "der(x[2]) =" in text
+
+
+# ---------------------------------------------------------------- laws of a user
+class Settings:
+    e, width = 3.0, -0.5
+
+
+LIMIT = -0.25
+
+
+def either(d, v):
+    return 2.0 * (d or v)
+
+
+def both(d, v):
+    return 2.0 * (d and v and 1.5)
+
+
+def conditions(d, v):
+    up = not d
+    if v and not d < LIMIT:
+        up = (d > 0) + up
+    return v * up + (3.0 if d else 1.0) + (v != 0)
+
+
+def in_decades(d, v):
+    return math.log(abs(d) + 1.0, 10) + math.log(2.0 + abs(v), 1.0 + abs(d) + 0.1)
+
+
+def longer(d, v):
+    return math.hypot(d, v, 2.0) + max(d, v, LIMIT, 0.1) - min(v, LIMIT, d) - -d
+
+
+def attributes(d, v):
+    return Settings.e * d + math.e * v - Settings.width * abs(d) + tanh(np.exp(-abs(v)))
+
+
+def by_default(d, v, k=-2.0, unused="x", other=0.5):
+    k = 2.0 * k
+    return k * d + other * v
+
+
+def between(d, v, k=3.0, rate=1.0):
+    return k * d + rate * v
+
+
+def by_name(d, v, *, rate, k=3.0):
+    return k * d + rate * v
+
+
+def words(d, v, inline, restrict, INFINITY, exp):
+    inline_ = inline + 1.0
+    return inline_ * d + restrict * v + INFINITY * math.exp(-exp * abs(d))
+
+
+def letters(d, v, ζ, _end):
+    end = ζ * d
+    return end + _end * v
+
+
+OWN = {
+    law: tuple(names)
+    for law, *names in (
+        (either,), (both,), (conditions,), (in_decades,), (longer,), (attributes,), (by_default,),
+        (between, "rate"), (by_name, "rate"), (words, "inline", "restrict", "INFINITY", "exp"),
+        (letters, "ζ", "_end"),
+    )
+}  # fmt: skip
+
+
+def of_own(law, system="chain"):
+    """Equations of a mass with the law, and the coefficients."""
+    model = rco.mass_spring_damper(1.0, 0.8, 25.0)
+    start = dict(zip(OWN[law], (1.25, 0.5, 2.0, 0.75), strict=False))
+    built = Structure(model, [rco.Effect("custom", "link1", law=law, start=start or {"scale": 1.0})])
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "custom cannot be compiled")  # as numba knows no such function
+        return replace(equations_of(built, built.start(), ()), name=system), start
+
+
+def forces(law, start, rhs):
+    """What the law adds to the acceleration of the mass: minus its force, by the program and by Python."""
+    rng = np.random.default_rng(5)
+    points = [(0.0, 0.0), (0.0, 0.7), (-0.4, 0.0), *rng.standard_normal((20, 2)).tolist()]
+    found = [-float(rhs(0.0, np.array(x), np.zeros(1))[1]) - 25.0 * x[0] - 0.8 * x[1] for x in points]
+    np.testing.assert_allclose(found, [law(*x, **start) for x in points], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", OWN)
+def test_a_users_law_in_python(law):
+    equations, start = of_own(law)
+    space: dict = {}
+    exec(PROGRAMS["Python"](equations), space)
+    forces(law, start, space["system"].dynamics)
+
+
+@pytest.mark.skipif(COMPILER is None, reason="no C compiler")
+@pytest.mark.parametrize("standard", ["c99", "gnu17"])
+def test_users_laws_in_c(tmp_path, standard):
+    sources = []
+    for law in OWN:
+        sources.append(tmp_path / f"{law.__name__}.c")
+        sources[-1].write_text(PROGRAMS["C"](of_own(law, law.__name__)[0]))
+    library = tmp_path / "own.so"
+    flags = [f"-std={standard}", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC"]
+    subprocess.run([COMPILER, *flags, *map(str, sources), "-o", str(library), "-lm"], check=True, timeout=300)
+    loaded, row = ctypes.CDLL(str(library)), np.ctypeslib.ndpointer(float)
+    for law in OWN:
+        function = getattr(loaded, f"{law.__name__}_rhs")
+        function.argtypes, function.restype = [ctypes.c_double, row, row, row], None
+
+        def rhs(t, x, u, function=function):
+            found = np.zeros(2)
+            function(t, x, u, found)
+            return found
+
+        forces(law, of_own(law)[1], rhs)
+
+
+def test_users_laws_in_other_languages():
+    """No name is a reserved word, no number a condition, no condition a number."""
+    matlab = PROGRAMS["MATLAB"](of_own(either)[0])
+    assert "result = (2.0 * pick((d ~= 0.0), d, v)); return;" in matlab
+    modelica = PROGRAMS["Modelica"](of_own(both, "model")[0])
+    inner = "(if (v <> 0.0) then 1.5 else v)"
+    assert f"result := (2.0 * (if (d <> 0.0) then {inner} else d)); return;" in modelica
+    assert modelica.startswith("model model_\n")
+    for language in ("MATLAB", "Modelica"):
+        assert "log((abs(d) + 1.0)) / log(10.0)" in PROGRAMS[language](of_own(in_decades)[0])
+        text = PROGRAMS[language](of_own(letters)[0])
+        assert re.search(r"end_ :?= \(u3b6|end_ :?= \(vu3b6", text)
+        assert "v_end * v" in text
+        assert text.isascii()
+        assert "- -" not in PROGRAMS[language](of_own(longer)[0])
+
+
+def shadowed(d, v):
+    return Settings.tanh(d)
+
+
+Settings.tanh = staticmethod(lambda x: 7.0 * x)
+
+
+def far(d, v):
+    return d + min(v, math.inf)
+
+
+@pytest.mark.parametrize("law", [shadowed, far])
+def test_what_only_looks_like_a_function_of_math_is_refused(law):
+    built = Structure(rco.mass_spring_damper(1.0, 0.8, 25.0), [rco.Effect("custom", "link1", law=law)])
+    for language in ("C", "MATLAB", "Modelica"):
+        with pytest.raises(rco.ModelError, match=f"not written in {language}"):
+            PROGRAMS[language](equations_of(built, built.start(), ()))
 
 
 # ---------------------------------------------------------------- what cannot be written

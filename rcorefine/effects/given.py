@@ -146,7 +146,8 @@ def _arguments(
     known = {*names, *Custom.signals}
     taken = [p.name for p in others if p.name in known or p.default is p.empty]
     taken += [name for name in names if anything and name not in taken]
-    keyword = {p.name for p in others if p.kind is p.KEYWORD_ONLY} | (set(names) if anything else set())
+    keyword = {p.name for p in others if p.kind is p.KEYWORD_ONLY and p.name in taken}
+    keyword |= set(names) if anything else set()
     skipped = [p.name for p in others if p.name not in taken]
     if skipped:  # a default that is kept stands before names that follow it
         keyword |= set(taken)

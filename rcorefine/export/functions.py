@@ -5,9 +5,13 @@ from __future__ import annotations
 import ast
 import inspect
 import math
+import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterable
+from numbers import Real
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from ..exceptions import ModelError
 
@@ -50,8 +54,11 @@ _C = Language(
     "if ({test}) {{", "}} else {{", "}}", "({test} ? {yes} : {no})", "!=", "&&", "||", "!", "pow({0}, {1})",
     {"abs": "fabs", "max": "fmax", "min": "fmin", **{name: name for name in (
         "fabs", "copysign", "expm1", "log1p", "hypot", "pow")}},
-    frozenset("auto break case char const continue default do double else float for goto if int long return "
-              "short signed sizeof static struct switch typedef union unsigned void while".split()),
+    frozenset("alignas alignof asm auto bool break case char const constexpr continue default do double "
+              "else enum extern false float for goto if inline int linux long nullptr register restrict "
+              "return short signed sizeof static static_assert struct switch thread_local true typedef "
+              "typeof typeof_unqual union unix unsigned void volatile while HUGE_VAL HUGE_VALF "
+              "HUGE_VALL INFINITY MATH_ERREXCEPT MATH_ERRNO NAN math_errhandling".split()),
 )  # fmt: skip
 _MATLAB = Language(
     "MATLAB", "function result = {name}({arguments})", "{}", ", ", "", "end", "{name} = {value};",
@@ -59,7 +66,9 @@ _MATLAB = Language(
     "||", "~", "({0})^({1})",
     {"abs": "abs", "fabs": "abs", "max": "max", "min": "min", "expm1": "expm1", "log1p": "log1p",
      "hypot": "hypot", "copysign": "flip", "pow": "({0})^({1})"},
-    frozenset("end function if else elseif for while switch case otherwise result pick flip".split()),
+    frozenset("break case catch classdef continue do else elseif end endfunction endif endwhile for "
+              "function global if otherwise parfor persistent pick flip result return spmd switch try "
+              "until while".split()),
 )  # fmt: skip
 _MODELICA = Language(
     "Modelica", "function {name}\n{arguments}\n    output Real result;", "    input Real {};", "\n",
@@ -68,13 +77,35 @@ _MODELICA = Language(
     "({0})^({1})",
     {"abs": "abs", "fabs": "abs", "max": "max", "min": "min", "pow": "({0})^({1})",
      "copysign": "(if {1} < 0.0 then -abs({0}) else abs({0}))", "hypot": "sqrt(({0})^2 + ({1})^2)"},
-    frozenset("and or not if then else end loop for while when der model function input output equation "
-              "algorithm time result initial flow final within".split()),
+    frozenset("Real algorithm and annotation block break class connect connector constant constrainedby "
+              "der discrete each else elseif elsewhen encapsulated end enumeration equation expandable "
+              "extends external false final flow for function if import impure in initial inner input "
+              "loop model not operator or outer output package parameter partial protected public pure "
+              "record redeclare replaceable result return stream then time true type when "
+              "while within".split()),
 )  # fmt: skip
 LANGUAGES = {language.name: language for language in (_C, _MATLAB, _MODELICA)}
 
 
-def translated(function: Callable[..., Any], name: str, language: str, label: str, pair: bool = False) -> str:
+def word(name: str, language: str, taken: Iterable[str] = ()) -> str:
+    """Return a name as another language may write it, none of those taken."""
+    made = re.sub(r"[^A-Za-z0-9_]", lambda sign: f"u{ord(sign[0]):x}", name)
+    made = made if made[0].isalpha() else f"v{made}"
+    known = LANGUAGES[language]
+    others = {*known.reserved, *known.functions, *known.functions.values(), *_SAME, *taken}
+    while made in others or re.fullmatch(r"law\d+", made):
+        made += "_"
+    return made
+
+
+def translated(
+    function: Callable[..., Any],
+    name: str,
+    language: str,
+    label: str,
+    pair: bool = False,
+    taken: Container[str] = (),
+) -> str:
     """A formula as a function of another language.
 
     Parameters
@@ -89,6 +120,8 @@ def translated(function: Callable[..., Any], name: str, language: str, label: st
         The effect, for messages.
     pair : bool
         Whether the formula returns its inner state behind the force: left out.
+    taken : container of str
+        Arguments that are handed over even if they have a default; others keep it.
 
     Returns
     -------
@@ -117,30 +150,49 @@ def translated(function: Callable[..., Any], name: str, language: str, label: st
             f"{label}: the source of its law is not to be had, so it cannot be written in {language}; define "
             "it by `def` in a file"
         ) from error
-    scope = inspect.getclosurevars(plain)
-    names = {**scope.globals, **scope.nonlocals}
-    return _Writer(language, label, names, pair).function(definition, name)
+    return _Writer(language, label, plain, pair).function(definition, name, taken)
 
 
 class _Writer:
     """Translation of one formula; `language` is None for Python."""
 
-    def __init__(self, language: str, label: str, names: dict[str, Any], pair: bool) -> None:
-        self.name, self.label, self.names, self.pair = language, label, names, pair
+    def __init__(self, language: str, label: str, plain: Callable[..., Any], pair: bool) -> None:
+        scope = inspect.getclosurevars(plain)
+        self.name, self.label, self.names, self.pair = (
+            language,
+            label,
+            {**scope.globals, **scope.nonlocals},
+            pair,
+        )
+        given = inspect.signature(plain).parameters.values()
+        self.defaults = {one.name: one.default for one in given if one.default is not one.empty}
         self.language = LANGUAGES.get(language, _C)
         self.local: set[str] = set()
+        self.words: dict[str, str] = {}
 
     def refuse(self, what: ast.AST | str) -> ModelError:
         text = what if isinstance(what, str) else ast.unparse(what)
         return ModelError(f"{self.label}: its law holds {text!r}, which is not written in {self.name} here")
 
-    def function(self, node: ast.FunctionDef, name: str) -> str:
-        arguments = [item.arg for item in node.args.args]
+    def _parts(self, node: ast.FunctionDef, taken: Container[str]) -> tuple[list[str], list[ast.stmt]]:
+        """Return the arguments, and the statements behind kept defaults."""
+        parameters = [item.arg for item in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+        arguments = [item for item in parameters if item in taken or item not in self.defaults]
         body = [
             item
             for item in node.body
             if not (isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant))
         ]
+        read = {item.id for part in body for item in ast.walk(part) if isinstance(item, ast.Name)}
+        for item in parameters:
+            if item in read and item not in arguments:  # it keeps its default
+                if not isinstance(self.defaults[item], Real):
+                    raise self.refuse(f"{item}={self.defaults[item]!r}")
+                body = [*ast.parse(f"{item} = {float(self.defaults[item])!r}").body, *body]
+        return arguments, body
+
+    def function(self, node: ast.FunctionDef, name: str, taken: Container[str]) -> str:
+        arguments, body = self._parts(node, taken)
         used = [item for part in body for item in ast.walk(part) if isinstance(item, ast.Name)]
         stored = {item.id for item in used if isinstance(item.ctx, ast.Store)}
         self.local = stored | set(arguments)
@@ -149,19 +201,21 @@ class _Writer:
             lines += [f"    {line}" for item in body for line in ast.unparse(self._plain(item)).splitlines()]
             return "\n".join(lines)
         language = self.language
+        for item in sorted(self.local):
+            self.words[item] = word(item, self.name, self.words.values())
         changed = stored & set(arguments)
         if changed and self.name == "Modelica":
             raise self.refuse(f"{changed.pop()} = ...")
-        given = language.between.join(language.argument.format(self._word(item)) for item in arguments)
+        given = language.between.join(language.argument.format(self.words[item]) for item in arguments)
         lines = [language.head.format(name=name, arguments=given)]
         own = sorted(stored - set(arguments))
         if own and language.declare:
-            lines.append(language.declare.format(names=", ".join(map(self._word, own))))
+            lines.append(language.declare.format(names=", ".join(self.words[item] for item in own)))
         if self.name == "Modelica":
             lines.append("  algorithm")
         if self.name == "C":
             read = {item.id for item in used}
-            lines += [f"    (void){self._word(item)};" for item in arguments if item not in read]
+            lines += [f"    (void){self.words[item]};" for item in arguments if item not in read]
         lines += self.block(body)
         return "\n".join([*lines, language.end.format(name=name)])
 
@@ -176,6 +230,10 @@ class _Writer:
             def visit_Name(self, item: ast.Name) -> ast.AST:
                 return ast.copy_location(outer._known(item), item)
 
+            def visit_Attribute(self, item: ast.Attribute) -> ast.AST:
+                value = outer._value(item)
+                return ast.Constant(float(value)) if isinstance(value, Real) else self.generic_visit(item)
+
             def visit_Return(self, item: ast.Return) -> ast.AST:
                 self.generic_visit(item)
                 if outer.pair and isinstance(item.value, ast.Tuple):
@@ -185,18 +243,25 @@ class _Writer:
         found: ast.stmt = ast.fix_missing_locations(Inline().visit(node))
         return found
 
-    def _known(self, node: ast.Name) -> ast.expr:
-        value = self.names.get(node.id)
-        if node.id in self.local or node.id in _BUILT_IN:
-            return node
-        if isinstance(value, int | float):
-            return ast.Constant(float(value))
-        if value is math or getattr(value, "__name__", "") == "numpy":
-            return ast.Name("math" if value is math else "np", ast.Load())
-        raise self.refuse(node)
+    def _value(self, node: ast.expr) -> Any:
+        """Return what a name of the module stands for, or None."""
+        if isinstance(node, ast.Name):
+            return None if node.id in self.local else self.names.get(node.id)
+        return getattr(self._value(node.value), node.attr, None) if isinstance(node, ast.Attribute) else None
 
-    def _word(self, name: str) -> str:
-        return f"{name}_" if name in self.language.reserved else name
+    def _known(self, node: ast.Name) -> ast.expr:
+        value = self._value(node)
+        if node.id in self.local or (node.id in _BUILT_IN and node.id not in self.names):
+            return node
+        if isinstance(value, Real):
+            return ast.Constant(float(value))
+        own = getattr(value, "__name__", "")
+        for module, name in ((math, "math"), (np, "np")):
+            if value is module:
+                return ast.Name(name, ast.Load())
+            if value is not None and getattr(module, own, None) is value:
+                return ast.Attribute(ast.Name(name, ast.Load()), own, ast.Load())
+        raise self.refuse(node)
 
     def block(self, body: list[ast.stmt]) -> list[str]:
         return [f"    {line}" for item in body for line in self.statement(item)]
@@ -208,7 +273,7 @@ class _Writer:
                 first = value.elts[0] if self.pair and isinstance(value, ast.Tuple) else value
                 return [language.give.format(value=self.expression(first))]
             case ast.Assign(targets=[ast.Name(id=name)], value=value):
-                return [language.assign.format(name=self._word(name), value=self.expression(value))]
+                return [language.assign.format(name=self.words[name], value=self.expression(value))]
             case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Tuple(elts=values) as value):
                 used = {item.id for item in ast.walk(value) if isinstance(item, ast.Name)}
                 if used & {getattr(item, "id", "") for item in targets}:
@@ -217,9 +282,9 @@ class _Writer:
                 return [line for t, v in pairs for line in self.statement(ast.Assign([t], v))]
             case ast.AugAssign(target=ast.Name(id=name), op=op, value=value):
                 whole = ast.BinOp(ast.Name(name, ast.Load()), op, value)
-                return [language.assign.format(name=self._word(name), value=self.expression(whole))]
+                return [language.assign.format(name=self.words[name], value=self.expression(whole))]
             case ast.If(test=test, body=body, orelse=other):
-                lines = [language.begin_if.format(test=self.expression(test)), *self.block(body)]
+                lines = [language.begin_if.format(test=self.test(test)), *self.block(body)]
                 lines += [language.other.format(), *self.block(other)] if other else []
                 return [*lines, language.end_if.format()]
         raise self.refuse(node)
@@ -227,16 +292,15 @@ class _Writer:
     def expression(self, node: ast.expr) -> str:
         language = self.language
         match node:
-            case ast.Constant(value=int() | float() as value):
-                return repr(float(value))
-            case ast.Name():
-                known = self._known(node)
-                return self.expression(known) if isinstance(known, ast.Constant) else self._word(node.id)
-            case ast.Attribute(attr=name) if isinstance(getattr(math, name, None), float):
-                return repr(getattr(math, name))
-            case ast.UnaryOp(op=ast.USub() | ast.UAdd() | ast.Not() as op, operand=operand):
-                sign = {ast.USub: "-", ast.UAdd: "+", ast.Not: f"{language.no} "}[type(op)]
-                return f"({sign}{self.expression(operand)})"
+            case ast.Constant(value=int() | float() as value) if math.isfinite(value):
+                text = repr(float(value))
+                return f"({text})" if text.startswith("-") else text
+            case ast.Name(id=name) if name in self.words:
+                return self.words[name]
+            case ast.Name() | ast.Attribute() if isinstance(self._value(node), Real):
+                return self.expression(ast.Constant(float(self._value(node))))
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd() as op, operand=operand):
+                return f"({'-' if isinstance(op, ast.USub) else '+'}{self.expression(operand)})"
             case ast.BinOp(op=ast.Pow(), left=left, right=right):
                 whole = isinstance(right, ast.Constant) and isinstance(right.value, int)
                 return language.power.format(
@@ -244,9 +308,28 @@ class _Writer:
                 )
             case ast.BinOp(op=op) if type(op) in _SIGNS:
                 return f"({self.expression(node.left)} {_SIGNS[type(op)]} {self.expression(node.right)})"
+            case ast.BoolOp(op=op, values=[left, *others]):
+                here, rest = map(self.expression, (left, ast.BoolOp(op, others) if others[1:] else others[0]))
+                yes, no = (rest, here) if isinstance(op, ast.And) else (here, rest)
+                return language.choose.format(test=self.test(left), yes=yes, no=no)
+            case ast.Compare() | ast.UnaryOp(op=ast.Not()):
+                return language.choose.format(test=self.test(node), yes="1.0", no="0.0")
+            case ast.IfExp(test=test, body=yes, orelse=no):
+                first, second = self.expression(yes), self.expression(no)
+                return language.choose.format(test=self.test(test), yes=first, no=second)
+            case ast.Call(func=ast.Name() | ast.Attribute(), keywords=[]):
+                return self._call(node)
+        raise self.refuse(node)
+
+    def test(self, node: ast.expr) -> str:
+        """Write an expression as a condition: in Python a number is one, too."""
+        language = self.language
+        match node:
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return f"({language.no} {self.test(operand)})"
             case ast.BoolOp(op=op, values=values):
-                word = language.both if isinstance(op, ast.And) else language.either
-                return "(" + f" {word} ".join(map(self.expression, values)) + ")"
+                sign = language.both if isinstance(op, ast.And) else language.either
+                return "(" + f" {sign} ".join(map(self.test, values)) + ")"
             case ast.Compare(left=left, ops=ops, comparators=others):
                 signs = _COMPARED | {ast.NotEq: language.unequal}
                 if any(type(op) not in signs for op in ops):
@@ -254,31 +337,25 @@ class _Writer:
                 terms = [self.expression(item) for item in (left, *others)]
                 parts = [f"{terms[i]} {signs[type(op)]} {terms[i + 1]}" for i, op in enumerate(ops)]
                 return "(" + f" {language.both} ".join(parts) + ")"
-            case ast.IfExp(test=test, body=yes, orelse=no):
-                parts = [self.expression(item) for item in (test, yes, no)]
-                return language.choose.format(test=parts[0], yes=parts[1], no=parts[2])
-            case ast.Call(func=ast.Name() | ast.Attribute(), keywords=[]):
-                return self._call(node)
-        raise self.refuse(node)
+        return f"({self.expression(node)} {language.unequal} 0.0)"
 
     def _call(self, node: ast.Call) -> str:
-        called = node.func
-        name = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
-        if isinstance(called, ast.Attribute):
-            if isinstance(called.value, ast.Name):
-                self._known(called.value)
-        elif name not in _BUILT_IN and (
-            name not in self.names or self.names[name] is not getattr(math, name, None)
-        ):
+        called, value = node.func, self._value(node.func)
+        name = called.id if isinstance(called, ast.Name) else getattr(called, "attr", "")
+        own = value is None and isinstance(called, ast.Name) and name in _BUILT_IN
+        known = value is not None and value in (vars(math).get(name), vars(np).get(name))
+        text = self.language.functions.get(name, name if name in _SAME else None)
+        if not own and (not known or text is None or name in ("max", "min")):  # of numpy they take an axis
             raise self.refuse(node)
         given = [self.expression(item) for item in node.args]
-        if name == "float":
+        if text is None:  # float
             return given[0]
-        word = self.language.functions.get(name, name if name in _SAME else None)
-        if word is None:
-            raise self.refuse(node)
-        if "{" in word:
-            return word.format(*given)
-        while len(given) > 2:  # of max and min
-            given = [f"{word}({given[0]}, {given[1]})", *given[2:]]
-        return f"{word}({', '.join(given)})"
+        if name == "log" and given[1:]:
+            return f"(log({given[0]}) / log({given[1]}))"
+
+        def written(*given: str) -> str:
+            return text.format(*given) if "{" in text else f"{text}({', '.join(given)})"
+
+        while len(given) > 2:  # of max, min and hypot
+            given = [written(*given[:2]), *given[2:]]
+        return written(*given)

@@ -14,7 +14,7 @@ from ..arguments import as_path
 from ..systems.linear import Array
 from ..writing import replacing
 from .equations import Equations, Term, equations_of
-from .functions import translated
+from .functions import translated, word
 
 if TYPE_CHECKING:
     from ..engine.structure import Structure
@@ -71,7 +71,7 @@ def _lines(e: Equations, at: Callable[[str, int], str]) -> tuple[_Lines, list[st
 def _laws(e: Equations, language: str) -> list[str]:
     terms = [*e.ports, *e.inputs, *e.outputs, *e.rates]
     return [
-        translated(term.function, f"law{k + 1}", language, term.label, term.pair)
+        translated(term.function, f"law{k + 1}", language, term.label, term.pair, dict(term.arguments))
         for k, term in enumerate(terms)
     ]
 
@@ -97,9 +97,9 @@ def _head(e: Equations, mark: str) -> list[str]:
     ]
 
 
-def _identifier(e: Equations) -> str:
+def _identifier(e: Equations, language: str) -> str:
     name = re.sub(r"[^A-Za-z0-9_]", "_", e.name)
-    return name if re.match(r"[A-Za-z]", name) else f"model_{name}"
+    return word(name if re.match(r"[A-Za-z]", name) else f"model_{name}", language)
 
 
 def _python(e: Equations) -> str:
@@ -141,7 +141,7 @@ def _python(e: Equations) -> str:
 
 
 def _c(e: Equations) -> str:
-    name = _identifier(e)
+    name = _identifier(e, "C")
     common, rates, outputs = _lines(e, lambda name, i: f"{name}[{i}]")
     shared = [f"    const double {key} = {value};" for key, value in common]
     shared += [f"    (void){key};" for key in ("t", "x", "u", *(key for key, _ in common))]
@@ -158,7 +158,7 @@ def _c(e: Equations) -> str:
 
 
 def _matlab(e: Equations) -> str:
-    name = _identifier(e)
+    name = _identifier(e, "MATLAB")
     common, rates, outputs = _lines(e, lambda name, i: f"{name}({i + 1})")
     lines = [
         f"function [dx, y] = {name}(t, x, u)", *_head(e, "%"),
@@ -175,7 +175,7 @@ def _matlab(e: Equations) -> str:
 
 
 def _modelica(e: Equations) -> str:
-    name = _identifier(e)
+    name = _identifier(e, "Modelica")
     common, rates, outputs = _lines(e, lambda name, i: f"{name}[{i + 1}]")
     laws = ["  " + line for law in _laws(e, "Modelica") for line in (*law.splitlines(), "")]
     lines = [
