@@ -234,8 +234,6 @@ def test_what_confirm_refuses(rng):
     spring = rco.refine(model(), data, [SPRING])
     with pytest.raises(ct.ControlArgument, match="one record"):
         rco.confirm(spring, [data])
-    with pytest.raises(ct.ControlArgument, match="no effect"):
-        rco.confirm(rco.refine(model(), data), [data, data])
     with pytest.raises(ct.ControlArgument, match="call refine first"):
         rco.confirm(model(), [data, data])
     with pytest.raises(ct.ControlArgument, match="significance"):
@@ -311,3 +309,21 @@ def test_amplitudes_that_differ_by_less_than_a_percent_take_no_name(warmer, word
     if word == "effect":
         assert found.best.effect == rco.Effect("quadratic_damping", "link1")
         assert found.best.probability > 0.5 > found.none_of_these
+
+
+@pytest.mark.parametrize(("stiffness", "verdict"), [(100.0, "confirmed"), (115.0, "refuted")])
+def test_a_model_without_an_effect_is_confirmed_or_refuted(stiffness, verdict, rng):
+    """Where nothing was kept, the residual of the model itself is tested."""
+    model = rco.mass_spring_damper(1.0, 0.8, 100.0)
+    records = []
+    for k in (100.0, stiffness):
+        force = 10.0 * rng.standard_normal(1000)
+        silent = rco.Measurement(force, np.zeros(1000), dt=0.02)
+        y = rco.simulate(rco.mass_spring_damper(1.0, 0.8, k), silent, "zero").outputs[0]
+        records.append(rco.Measurement(force, y + 0.01 * y.std() * rng.standard_normal(1000), dt=0.02))
+    found = rco.confirm(rco.refine(model, records[0], []), records)
+    assert (found.verdict, found.names) == (verdict, ())
+    assert [one.agreement for one in found.estimates] == [1.0, 1.0]
+    assert "model without an added effect" in str(found)
+    with pytest.raises(rco.ModelError, match="no coefficient to plot"):
+        found.plot()

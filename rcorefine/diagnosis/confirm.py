@@ -60,7 +60,8 @@ def confirm(
     Parameters
     ----------
     model : Refinement
-        Model with the effects in question: of `refine`, or `RankedEffect.refinement`.
+        Model with the effects in question: of `refine`, or `RankedEffect.refinement`. Of a model without
+        any, the residual alone is tested.
     data : sequence of Measurement
         The record that taught them first, then the others; two at least.
     candidates : sequence of Effect, optional
@@ -87,8 +88,7 @@ def confirm(
     Raises
     ------
     control.ControlArgument
-        If the model has no effect that was asked for, there is only one record, or `scales_with` names an
-        effect or a signal that does not exist.
+        If there is only one record, or `scales_with` names an effect or a signal that does not exist.
     DataError
         If a condition is zero or changes its sign between records.
 
@@ -126,8 +126,6 @@ def confirm(
     for record in ordered:
         check_channels(model.physical_model.linear, record)
     own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]
-    if not own:
-        raise ct.ControlArgument("the model holds no effect that was asked for, so nothing can be confirmed")
     conditions, factors = _conditions(model, own, records, scales_with)
     library = effect_library(model.physical_model) if candidates is None else candidates
     rest = not_held(as_effects(library, "candidates"), model.effects)
@@ -168,7 +166,8 @@ def _conditions(
     for key, given in as_mapping(asked, "scales_with", "conditions").items():
         if key not in keys:
             raise ct.ControlArgument(
-                f"scales_with names {key!r}; the effects of the model are {', '.join(sorted(set(keys)))}"
+                f"scales_with names {key!r}; the effects of the model are "
+                f"{', '.join(sorted(set(keys))) or 'none'}"
             )
         if isinstance(given, str):
             values = np.array([_mean_of(record, given) for record in records])
@@ -209,17 +208,18 @@ def _message(
         key.replace("@", " at ", 1): f" in proportion to {by if isinstance(by, str) else 'the condition'}"
         for key, by in (scaled or {}).items()
     }
-    what = " with ".join(label + ways.get(label, "") for label in labels)
+    what = " with ".join(label + ways.get(label, "") for label in labels) or "model without an added effect"
     if verdict == "confirmed":
         other = any(abs(np.log(e.level)) > 0.25 for e in further)
         caution = "" if other else " The amplitudes are similar, so a similar effect could pass, too."
         return f"The same {what} explains every record ({chance(p_value, 'p')}).{caution}"
     worst = min(further, key=lambda e: min(e.agreement, e.residual))
     why = "other coefficients" if worst.agreement <= worst.residual else "something more"
+    what = what if labels else f"The {what}"
     verdict = f"{what} is refuted: {worst.name} needs {why} ({chance(p_value, 'p')})."
     if first.residual < level:
         return f"{verdict} It does not explain the first record either ({chance(first.residual, 'p')})."
-    return f"{verdict} It only mimics what is missing."
+    return f"{verdict} It only mimics what is missing." if labels else verdict
 
 
 def _alone(

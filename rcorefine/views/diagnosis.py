@@ -18,6 +18,7 @@ from ..diagnosis.open_law import HiddenForce
 from ..diagnosis.result import Diagnosis, next_step
 from ..effects.effect import unit_forces
 from ..engine.simulation import simulated
+from ..exceptions import ModelError
 from ..results import chance, estimate
 from ..systems.linear import Array
 from .bode import BodeUnits, broken_phase
@@ -386,8 +387,8 @@ def confirmation_told(found: Confirmation) -> Told:
     for one in found.estimates:
         agreement = "" if one is found.estimates[0] else f"{one.agreement:.2g}"
         tail = [f"{one.level:.3g}", agreement, f"{one.residual:.2g}"]
-        for i, name in enumerate(found.names):
-            figures = cells(one, f"coefficients[{i}]:.4g std[{i}]:.2g")
+        for i, name in enumerate(found.names or ["none"]):
+            figures = cells(one, f"coefficients[{i}]:.4g std[{i}]:.2g") if found.names else ["", ""]
             rows.append(["" if i else one.name, name, *figures, *([""] * 3 if i else tail)])
     message, *rest = found.sentences()
     return (
@@ -404,6 +405,8 @@ def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlo
     They are estimated from each record alone. Each coefficient has its own panel.
     """
     count = len(confirmation.names)
+    if not count:
+        raise ModelError("the model has no added effect, so there is no coefficient to plot")
     (name,) = frame.labels(["95 % interval"])
     if frame.ax is not None and (given := np.asarray(frame.ax, dtype=object).size) != count:
         raise ct.ControlDimension(f"ax holds {given} axes; there are {count} coefficients")
