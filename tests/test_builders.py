@@ -521,3 +521,29 @@ def test_port_can_be_renamed():
     model = series_rlc(1.0, 1.0, 1.0)
     renamed = replace(model, ports=(replace(model.ports[0], name="coil"),), parameters=())
     assert renamed.port("coil").kind == "mechanical"
+
+
+class TestForceMap:
+    """F of M q'' + K q = F w, by its own name and with the unit that is known."""
+
+    def test_rows_in_lists_are_a_matrix(self):
+        for F in ([[0.245]], ((0.245,),), np.array([[0.245]])):
+            model = mechanical([[2.0]], K=[[10.0]], force_map=F, inputs="volt", force_unit="N m")
+            assert model.system.B[1, 0] == 0.245 / 2.0
+            assert model.input_units == ("",)
+
+    def test_the_unit_of_a_force_is_known(self):
+        for F in (1, [1, 2], np.eye(2), [[1, 0], [-1, 1]]):
+            model = mechanical([1.0, 1.0], K=np.eye(2), force_map=F, force_unit="N m")
+            assert set(model.input_units) == {"N m"}
+        mixed = mechanical([1.0, 1.0], K=np.eye(2), force_map=[[1.0, 0.3], [0.0, 1.0]])
+        assert mixed.input_units == ("N", "")
+        assert mass_spring_damper(1.0, 1.0, 1.0, force=[[0.5]]).input_units == ("",)
+
+    @pytest.mark.parametrize("F", [[0.245], 0.245, [3], [[1.0, 2.0]], [[0.0], [0.0]], [[1.0], [1.0, 2.0]]])
+    def test_its_own_name_is_in_the_error(self, F):
+        wrong = (ModelError, ct.ControlArgument, ct.ControlDimension)
+        with pytest.raises(wrong, match="force_map"):
+            mechanical([1.0, 1.0], K=np.eye(2), force_map=F)
+        with pytest.raises(wrong, match=r"\bforce\b"):
+            mass_spring_damper([1.0, 1.0], [1.0, 1.0], [1.0, 1.0], force=F)

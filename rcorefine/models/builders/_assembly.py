@@ -72,9 +72,13 @@ class Drive(NamedTuple):
 
 
 class Options(NamedTuple):
-    """Arguments of both builders beside the matrices, as they were given."""
+    """Arguments of both builders beside the matrices, as they were given.
+
+    `forces` is the name of the argument that holds `force`.
+    """
 
     excitation: Any
+    forces: str
     force: Any
     sensors: Any
     units: Units
@@ -230,27 +234,34 @@ def _is_request(item: Any) -> bool:
 
 def input_map(options: Options, M: Any) -> Drive:
     """Return how the inputs act on masses with the matrix M."""
-    force, size, units = options.force, M.shape[0], options.units
+    force, size, units, what = options.force, M.shape[0], options.units, options.forces
     base = as_choice(options.excitation, "excitation", ("force", "base")) == "base"
     matrix, numbers = np.zeros((size, 0)), []
-    if isinstance(force, np.ndarray) and force.ndim == 2:
-        matrix = as_array(force, "the map of the forces", error=ModelError)
+    rows = isinstance(force, list | tuple) and any(isinstance(row, list | tuple) for row in force)
+    if rows or (isinstance(force, np.ndarray) and force.ndim == 2):
+        matrix = _force_matrix(force, what, size)
         numbers = list(range(matrix.shape[1]))
-        if matrix.shape[0] != size:
-            raise ct.ControlDimension(
-                f"the map of the forces has {matrix.shape[0]} rows for {size} masses; "
-                "each column tells how one input acts on the masses"
-            )
-        if not matrix.any(axis=0).all():
-            raise ModelError(
-                f"input {int(np.argmin(matrix.any(axis=0))) + 1} of the map of the forces acts on no mass"
-            )
     elif force is not None or not base:
-        numbers = as_indices(1 if force is None else force, "force", "mass", size)
+        numbers = as_indices(1 if force is None else force, what, "mass", size)
         matrix = np.eye(size)[:, numbers]
     labels = ["force"] if len(numbers) == 1 else [f"force{i + 1}" for i in numbers]
-    inputs = dict.fromkeys(labels, units["force"])
+    # through other numbers than 0 and 1 acts what need not be a force
+    known = [bool(np.isin(np.abs(column), (0.0, 1.0)).all()) for column in matrix.T]
+    inputs = {label: units["force"] * plain for label, plain in zip(labels, known, strict=True)}
     if base:
         matrix = np.hstack([-M @ np.ones((size, 1)), matrix])
         inputs = {"base_acceleration": units["acceleration"], **inputs}
     return Drive(matrix, np.array([float(label == "base_acceleration") for label in inputs]), inputs)
+
+
+def _force_matrix(force: Any, what: str, size: int) -> Array:
+    """Return the matrix by which inputs act on masses, checked."""
+    matrix = as_array(force, what, error=ModelError)
+    if matrix.ndim != 2 or matrix.shape[0] != size:
+        raise ct.ControlDimension(
+            f"{what} has {matrix.shape[0]} rows for {size} masses; "
+            "each column tells how one input acts on the masses"
+        )
+    if not matrix.any(axis=0).all():
+        raise ModelError(f"{what}: input {int(np.argmin(matrix.any(axis=0))) + 1} acts on no mass")
+    return matrix

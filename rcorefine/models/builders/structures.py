@@ -127,9 +127,8 @@ def mass_spring_damper(
         Place(f"mass{i + 1}", row, f"mass {i + 1} itself (d = q{i + 1})", True)
         for i, row in enumerate(np.eye(n))
     ]
-    options = Options(
-        excitation, force, sensors, Units.of(position_unit, force_unit), (inputs, outputs, states, name)
-    )
+    units = Units.of(position_unit, force_unit)
+    options = Options(excitation, "force", force, sensors, units, (inputs, outputs, states, name))
     parameters = [
         NominalParameter(f"{letter}{i + 1}", value, options.units[kind], kind, place.name)
         for letter, kind, values, places in (
@@ -193,8 +192,9 @@ def mechanical(
         ``"base"`` makes the acceleration of the base, the same for all displacements, the
         first input; the states are then relative to the base.
     force_map : int, sequence of int or ndarray of shape (n, n_w), optional
-        F as a 2-D array, or the numbers (from 1) of the displacements that a force acts on;
-        default 1 (none under base excitation).
+        F as a matrix, or the numbers (from 1) of the displacements that a force acts on;
+        default 1 (none under base excitation). An input has the unit `force_unit` if its column of F has
+        only 0, 1 and -1. Otherwise its unit is not known: through [[0.02]], in N m/V, it is a voltage.
     links : mapping of str to tuple or ndarray, optional
         Names of places between displacements: ``{"brace": (1, 3)}`` has d = q_1 - q_3,
         ``{"foot": (1, 0)}`` d = q_1 to the ground, and a vector g of length n
@@ -252,9 +252,8 @@ def mechanical(
     >>> [round(q.value**0.5 / np.pi, 3) for q in bar.parameters if q.kind == "stiffness"]
     [0.0, 1.0, 2.0]
     """
-    options = Options(
-        excitation, force_map, sensors, Units.of(position_unit, force_unit), (inputs, outputs, states, name)
-    )
+    units = Units.of(position_unit, force_unit)
+    options = Options(excitation, "force_map", force_map, sensors, units, (inputs, outputs, states, name))
     if not issparse(M):
         M = np.atleast_1d(as_array(M, "M", error=ModelError))
         M = diags(as_vector(M, "M"), format="csc") if M.ndim == 1 else M
