@@ -382,3 +382,54 @@ def test_utf_16(tmp_path):
     data = read(tmp_path, "u;y\n1,5;2\n3;4\n", encoding="utf-16")
     assert data.inputs.tolist() == [[1.5, 3]]
     assert "read as UTF-16" in data.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("unit", "seconds"), [("S", 1.0), ("SEC", 1.0), ("Sec", 1.0), ("MS", 1e-3), ("MIN", 60.0), ("H", 3600.0)]
+)
+def test_units_of_time_in_large_letters(tmp_path, unit, seconds):
+    path = tmp_path / "run.csv"
+    path.write_text(f"Time({unit}),u,G (S)\n0,1,2\n0.5,1,3\n1,1,4\n")
+    data = Measurement.from_csv(path, "u", "G", time="Time")
+    assert data.dt == 0.5 * seconds
+    assert data.output_units == ("S",)  # siemens
+
+
+def test_megaseconds_or_milliseconds(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("Time(Ms),u,y\n0,1,2\n0.5,1,3\n1,1,4\n")
+    with pytest.raises(DataError, match="is in 'Ms'"):
+        Measurement.from_csv(path, "u", "y", time="Time")
+
+
+def test_whole_numbers_as_times_are_told(tmp_path):
+    pd = pytest.importorskip("pandas")
+    frame = pd.DataFrame({"t": 1_700_000_000_000_000_000 + 10_000_000 * np.arange(50), "u": 1.0, "y": 2.0})
+    note = "times of column 't' hold whole numbers without a unit, taken as seconds"
+    data = Measurement.from_frame(frame, "u", "y", time="t")
+    assert any(note in said for said in data.notes)
+    frame["t"] = pd.to_datetime(frame["t"])
+    assert not Measurement.from_frame(frame, "u", "y", time="t").notes
+    path = tmp_path / "run.csv"
+    for header, first, told in (("t", "0", True), ("t [s]", "0", False), ("t", "0.5", False)):
+        path.write_text(f"{header},u,y\n{first},1,2\n{float(first) + 10},1,3\n{float(first) + 20},1,4\n")
+        data = Measurement.from_csv(path, "u", "y", time="t")
+        assert any(note in said for said in data.notes) == told
+    path.write_text("t,u,y\n10:00:00,1,2\n10:00:10,1,3\n10:00:20,1,4\n")
+    assert "whole" not in str(Measurement.from_csv(path, "u", "y", time="t").notes)
+
+
+def test_columns_that_are_no_texts():
+    pd = pytest.importorskip("pandas")
+    values = np.arange(12.0).reshape(4, 3) / 7
+    several = pd.DataFrame(
+        values, columns=pd.MultiIndex.from_tuples([("", "t"), ("motor", "u"), ("load", "y")])
+    )
+    data = Measurement.from_frame(several, "('motor', 'u')", "('load', 'y')", time="t")
+    np.testing.assert_array_equal(data.outputs[0], values[:, 2])
+    with pytest.raises(DataError, match=r"no column 'u'; there are 't', .\('motor', 'u'\)."):
+        Measurement.from_frame(several, "u", "y", dt=1.0)
+    dated = several.set_index(pd.date_range("2024", periods=4, freq="2s"))
+    assert Measurement.from_frame(dated, "('motor', 'u')", "('load', 'y')").dt == 2.0
+    numbered = pd.DataFrame(values)
+    np.testing.assert_array_equal(Measurement.from_frame(numbered, "1", "2", dt=1.0).outputs[0], values[:, 2])

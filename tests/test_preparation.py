@@ -73,3 +73,12 @@ def test_signals_are_renamed_and_joined():
         data.join(more.with_hold("foh"))
     with pytest.raises(rco.DataError, match="F"):
         data.join(record(seed=1).rename({"q": "q2"}))
+
+
+def test_the_samples_that_a_filter_leaves_out_are_told():
+    t = np.arange(5000) * 0.01
+    data = rco.Measurement(np.sin(2 * t), np.cos(2 * t), dt=0.01).filter(low=2.0)
+    cut = (5000 - data.n_samples) // 2
+    assert cut > 0
+    assert f"{cut} of 5000 samples left out at either end" in data.notes[-1]
+    assert "left out" in str(data)

@@ -238,14 +238,15 @@ def read_frame(frame: Any, names: Sequence[str]) -> Columns:
             frame = pd.DataFrame(frame)
         except (ValueError, TypeError) as error:
             raise ct.ControlDimension(f"the columns of the frame do not fit together: {error}") from error
-    present, columns = [str(column) for column in frame.columns], {}
+    present, columns = _column_names(frame), {}
     for name in names:
         if name not in present:
             listed = ", ".join(repr(p) for p in present if p)
             raise DataError(f"the data frame: no column {name!r}; there are {listed or 'none'}")
         if present.count(name) > 1:
             raise DataError(f"the data frame: column {name!r} stands there twice; rename one")
-        column = frame[name]
+        at = present.index(name)
+        column = frame.iloc[:, at] if hasattr(frame, "iloc") else frame[frame.columns[at]]
         missing = np.asarray(column.isna()) if hasattr(column, "isna") else np.zeros(len(column), dtype=bool)
         if missing.any():
             raise DataError(
@@ -254,6 +255,19 @@ def read_frame(frame: Any, names: Sequence[str]) -> Columns:
             )
         columns[name] = column.to_numpy()
     return Columns(columns)
+
+
+def _column_names(frame: Any) -> list[str]:
+    """Return the names of columns as texts.
+
+    A column with several levels, of which one has a name, has that name. Otherwise it has the text of all:
+    ``"('motor', 'u')"``.
+    """
+    names = []
+    for column in frame.columns:
+        levels = [str(one) for one in column if str(one)] if isinstance(column, tuple) else []
+        names.append(levels[0] if len(levels) == 1 else str(column))
+    return names
 
 
 def _sets_of(path: Any, kind: int, asked: Sequence[int] | None = None) -> tuple[list[int], dict[int, Any]]:

@@ -571,6 +571,7 @@ class Measurement(Result, RecordReaders):
         sos = zpk2sos(zeros, poles, gain)
         w, y = (sosfiltfilt(sos, rows) if rows.size else rows for rows in (self.inputs, self.outputs))
         said = f"{kind} filter of order {order}, {' to '.join(f'{e:.4g}' for e in edges)} rad/s, zero phase"
+        said += f"; {cut} of {self.n_samples} samples left out at either end, which its transient spoils"
         return self._changed(inputs=w, outputs=y, notes=(*self.notes, said))._part(slice(cut, -cut))
 
     def rename(self, labels: Mapping[str, str] | None = None, *, name: str | None = None) -> Self:

@@ -595,22 +595,30 @@ class RecordReaders:
             raise ct.ControlDimension(
                 f"the signals differ in length: {listed} samples; nothing is cut for you"
             )
-        stamps = None if times is None else values[times]
-        unit = units.get(times or "", "s")
-        if (step := seconds_per(unit, str(times))) != 1.0:
-            stamps = np.asarray(stamps) * step
-            notes = (*notes, f"times of column {times!r} were brought from {unit} to s")
+        stamps, said = (None, ()) if times is None else _in_seconds(values[times], times, units.get(times))
         own = {
             "input_labels": w_names,
             "output_labels": y_names,
             "input_units": [units.get(name, "") for name in w_names],
             "output_units": [units.get(name, "") for name in y_names],
-            "notes": notes,
+            "notes": (*notes, *said),
         }
         w, y = (np.array([values[name] for name in names]) for names in (w_names, y_names))
         if stamps is not None and dt is not None and is_irregular(stamps):
             return cls.from_timestamps(stamps, w, y, dt=dt, **(own | options))
         return cls(w, y, dt=dt, timepts=stamps, **(own | options))
+
+
+def _in_seconds(stamps: Any, column: str, unit: str | None) -> tuple[Any, tuple[str, ...]]:
+    """Return times in seconds, and what was taken for what."""
+    step, times, what = seconds_per(unit or "s", column), np.asarray(stamps), f"times of column {column!r}"
+    if step != 1.0:
+        return times * step, (f"{what} were brought from {unit} to s",)
+    whole = times.dtype.kind in "iuf" and times.size > 1 and np.all(times == np.round(times))
+    if unit is None and whole:
+        said = "hold whole numbers without a unit, taken as seconds; if they count ms or ns, scale them"
+        return stamps, (f"{what} {said}",)
+    return stamps, ()
 
 
 def _sets(values: Any, name: str) -> list[int]:

@@ -39,6 +39,7 @@ _SECONDS = {
     "s": 1.0, "sec": 1.0, "secs": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6,
     "ns": 1e-9, "min": 60.0, "h": 3600.0, "hr": 3600.0,
 }  # fmt: skip
+_KNOWN |= {write(unit) for unit in _SECONDS for write in (str.upper, str.capitalize)}
 _BRACKETS = re.compile(r"(.*\S)\s*[\[(]([^\[\]()]+)[\])]|(.*\S) / (\S+)")
 
 
@@ -84,19 +85,20 @@ def split_unit(cell: str) -> tuple[str, str]:
 
 
 def seconds_per(unit: str, column: str) -> float:
-    """Seconds in a unit of time.
+    """Seconds in a unit of time, in small letters or large.
 
     Raises
     ------
     DataError
         If it is no unit of time that is known.
     """
-    if unit not in _SECONDS:
+    known = unit if unit == "Ms" else unit.lower()  # that may be megaseconds or milliseconds
+    if known not in _SECONDS:
         raise DataError(
             f"column {column!r} of times is in {unit!r}, not in one of {', '.join(_SECONDS)}; give dt in s "
             "instead of time="
         )
-    return _SECONDS[unit]
+    return _SECONDS[known]
 
 
 _DELIMITERS = ",;\t| "
@@ -184,7 +186,8 @@ def read_csv(
             table = np.array(list(_by_line(body, layout, here))).T.copy()
         read |= dict(zip(layout.places, table, strict=True))
     said = f"{Path(path).name}: " + "; ".join((layout.text, *notes))
-    return Columns({name: read[name] for name in names}, layout.units, (said,))
+    clocks = dict.fromkeys(read.keys() - layout.places.keys(), "s")
+    return Columns({name: read[name] for name in names}, layout.units | clocks, (said,))
 
 
 def _text(path: Any) -> tuple[str, tuple[str, ...]]:
