@@ -6,9 +6,11 @@ import control as ct
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 import rcorefine as rco
 from rcorefine.comparison.signals import decay_of
+from rcorefine.diagnosis.open_law import reached
 
 DT = 0.03
 LINEAR = ct.ss(
@@ -165,3 +167,48 @@ def test_the_picture_has_four_panels_an_output(releases):
     assert shown.axes.shape == (2, 2)
     labels = [ax.get_ylabel() for ax in shown.axes.ravel()]
     assert labels == ["Amplitude of x", "Damping ratio [%]", "Period [s]", "Frequency [Hz]"]
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_a_decay_is_simulated_without_inputs(discrete):
+    """From a given and from an estimated state, against the matrix exponential."""
+    t = np.arange(200) * DT
+    x0 = np.array([1.0, 0.5])
+    states = np.array([expm(LINEAR.A * at) @ x0 for at in t]).T
+    record = rco.Measurement.free_decay(states[0], dt=DT, output_labels="x", release=0)
+    model = LINEAR.sample(DT) if discrete else LINEAR
+    for start in (x0, "estimate"):
+        run = rco.simulate(model, record, start)
+        np.testing.assert_allclose(run.states, states, atol=1e-6)
+        assert run.outputs.shape == (1, 200)
+    refined = rco.refine(LINEAR, record, [])
+    np.testing.assert_allclose(refined.simulate(record, x0).outputs, states[:1], atol=1e-6)
+    with pytest.raises(ct.ControlDimension, match="has 2 inputs and the model 1"):
+        rco.simulate(model, rco.Measurement(np.ones((2, 200)), states[0], dt=DT))
+
+
+def test_a_tabulated_force_has_the_velocities_of_the_decay():
+    """Those of the observer are three times as large at first, until it follows."""
+
+    def odd(t, x):
+        return [x[1], -16 * x[0] - 0.05 * x[1] - 0.6 * abs(x[1]) * x[1] * (1 + 0.8 * np.sin(5 * x[0]))]
+
+    t = np.arange(400) * DT
+    v = solve_ivp(odd, (0, t[-1]), [3.0, 0.0], t_eval=t, rtol=1e-8, atol=1e-10).y[1]
+    candidates = [rco.Effect(kind, "x") for kind in ("cubic_stiffness", "coulomb_friction")]
+    found = rco.diagnose(LINEAR, released([3.0, 0.0], 0, odd, n=400), candidates=candidates)
+    table = found.law().law
+    assert 1.1 * v.min() < table.v[0] < 0.5 * v.min()
+    assert 0.5 * v.max() < table.v[-1] < 1.1 * v.max()
+
+
+def test_a_table_with_fewer_knots_is_the_same_function(rng):
+    whole = rco.Table(np.arange(6.0), np.arange(5.0) - 2.0, rng.standard_normal((6, 5)))
+    d, v = rng.uniform(0.7, 3.4, 300), rng.uniform(-1.6, 0.2, 300)
+    part = reached(whole, d, v)
+    np.testing.assert_allclose(part.d, [d.min(), 1.0, 2.0, 3.0, d.max()])
+    np.testing.assert_allclose(part.v, [v.min(), -1.0, 0.0, v.max()])
+    np.testing.assert_allclose(part(d, v), whole(d, v), rtol=1e-9, atol=1e-12)
+    spring = rco.Table(d=[0.0, 1.0, 4.0], force=[0.0, 2.0, 1.0])
+    np.testing.assert_allclose(reached(spring, d, v)(d, v), spring(d, v), rtol=1e-12)
+    assert reached(whole, 9.0 + d, v) is whole

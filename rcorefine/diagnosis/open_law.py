@@ -200,11 +200,12 @@ def _beyond(residuals: Sequence[Array], scales: Array) -> float:
 def _tabulated(fits: SingleFits, form: FreeForm) -> OpenLaw | None:
     """Return the curve as a table, None if it does not improve the fit."""
     fitted, place = form.fitted, form.curve.place
-    table = form.table
+    table, kind = form.table, form.curve.kind
+    if kind == Tabulated.name:
+        table = reached(table, *motion_at(form.fitted, place, 0.0))
     if "offset" in fits.fitted.refinement.roles:  # the offset covers any constant: the force is 0 at rest
         rest = [np.clip(0.0, min(x, default=0.0), max(x, default=0.0)) for x in (table.d, table.v)]
         table = Table(table.d, table.v, np.array(table.force) - table(*rest))
-    kind = form.curve.kind
     effect = Effect(kind, place, law=table, name=f"{_NAMES[kind]}, tabulated at {place}")
     errors = np.concatenate([r / fitted.problem.weights[:, None] for r in fitted.residuals()], axis=1)
     measured = np.concatenate([r.outputs for r in fitted.problem.records], axis=1)
@@ -215,6 +216,23 @@ def _tabulated(fits: SingleFits, form: FreeForm) -> OpenLaw | None:
     rmse = np.sqrt(np.mean(errors**2, axis=1))
     near = _nearest(fits, form) if kind == Tabulated.name else ()
     return OpenLaw(effect, float(np.mean(fit)), near, rmse)
+
+
+def reached(table: Table, d: Array, v: Array) -> Table:
+    """Return the same table with knots in the range of a motion only.
+
+    An observer makes larger motions at the start of a record, until it follows.
+    """
+    kept = []
+    for knots, x in ((table.d, d), (table.v, v)):
+        low, high = (float(np.clip(end, knots[0], knots[-1])) if knots else 0.0 for end in (x.min(), x.max()))
+        if len(knots) > 1 and not low < high:
+            return table
+        slack = 1e-6 * (high - low)
+        inner = [knot for knot in knots if low + slack < knot < high - slack]
+        kept.append([low, *inner, high] if len(knots) > 1 else list(knots))
+    at = np.meshgrid(*(each or [0.0] for each in kept), indexing="ij")
+    return Table(kept[0], kept[1], table(*at))
 
 
 def _nearest(fits: SingleFits, form: FreeForm) -> tuple[tuple[Effect, float], ...]:

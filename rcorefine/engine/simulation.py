@@ -10,7 +10,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_state
-from ..data.channels import match_channels, record_for
+from ..data.channels import match_channels, record_for, resting_inputs
 from ..data.measurement import Measurement
 from ..data.records import as_record
 from ..exceptions import DivergenceError, ModelError
@@ -81,7 +81,8 @@ def simulate(
     model : StateSpace, PhysicalModel or Refinement
         Continuous, or discrete with the sampling time of the record.
     data : Measurement
-        Inputs, and the outputs from which the initial state is estimated.
+        Inputs, and the outputs from which the initial state is estimated. In a free decay without inputs
+        those of the model are zero.
     x0 : {"estimate", "zero"} or ndarray of shape (n,)
         Initial state.
     controller : StateSpace or TransferFunction, optional
@@ -126,6 +127,7 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
     if structure.model.controller is not None:
         data = completed(structure.model, data)
         data = record_for(data, match_channels(structure.linear_model, data))
+    data = resting_inputs(data, structure.linear_model.input_labels)
     check_channels(structure.linear_model, data)
     own = own_states(structure)
     start, point = as_state(x0, own.size), structure.model.operating_point
@@ -222,6 +224,7 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
         raise ModelError(
             f"model {model.name!r} has dt = {model.dt:g} s and the record {data.dt:g} s; resample one of them"
         )
+    data = resting_inputs(data, model.input_labels)
     check_channels(model, data)
     start = as_state(x0, model.n_states)
     with np.errstate(over="ignore", invalid="ignore"):

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import as_text, as_vector, as_whole
+from ..data.channels import resting_inputs
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..engine.nonlinear import nonlinear_system
@@ -241,7 +242,7 @@ class Refinement(ReportedModel, CodeExports):
             data.timepts,
             run.outputs,
             run.states,
-            data.inputs,
+            resting_inputs(data, linear.input_labels).inputs,
             input_labels=list(linear.input_labels),
             output_labels=list(linear.output_labels),
             state_labels=structure.state_labels(),
