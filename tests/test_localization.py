@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 
 import control as ct
 import matplotlib.pyplot as plt
@@ -471,3 +472,16 @@ def test_dead_sensors_are_left_out_or_refused_with_a_word():
     for question in (rco.localize_damage, rco.diagnose):
         with pytest.raises(rco.DataError, match="no output ever changes"):
             question(model, dead)
+
+
+def test_a_fit_that_diverges_is_no_number(rng):
+    """An initial model without a free run has no fit; a fit below zero is of no use."""
+    model, force = rco.mass_spring_damper(1.0, 0.8, 100.0), 10.0 * rng.standard_normal(400)
+    y = rco.simulate(model, rco.Measurement(force, np.zeros(400), dt=0.02), "zero").outputs[0]
+    data = rco.Measurement(force, y + 0.01 * y.std() * rng.standard_normal(400), dt=0.02)
+    found = localize_damage(model, data)
+    assert "do not use" not in str(found)
+    text = " ".join(str(replace(found, initial_fit=np.array([np.nan]), fit=np.array([-2302.0]))).split())
+    assert "diverges -> -2302 %." in text
+    assert "worse than a constant: do not use them" in text
+    assert "nan" not in text

@@ -6,6 +6,7 @@ import copy
 import functools
 import pickle
 import warnings
+from dataclasses import replace
 
 import control as ct
 import numpy as np
@@ -420,3 +421,17 @@ def test_forces_that_overflow_are_no_warning():
     far = Effect("cubic_stiffness", "link1", start={"cubic_stiffness": -1e100})
     with pytest.warns(IdentifiabilityWarning):
         assert not refine(one, data, [far]).success
+
+
+def test_a_fit_that_is_no_number_is_told(rng):
+    """A constant output has no fit; an initial model that diverges has none."""
+    model = rco.mass_spring_damper([1.0, 0.5], [0.4, 0.2], [100.0, 80.0], sensors="displacement")
+    force = rng.standard_normal(300)
+    y = rco.simulate(model, rco.Measurement(force, np.zeros((2, 300)), dt=0.02), "zero").outputs
+    y[1] = 0.0
+    found = rco.refine(model, rco.Measurement(force, y, dt=0.02), [])
+    assert "% / - (constant) of the record" in " ".join(str(found).split())
+    diverged = replace(found, fit=np.array([90.0, 80.0]), initial_fit=np.array([np.nan, 70.0]))
+    assert "explains 90 % / 80 % of the record (initial model diverges / 70 %)" in " ".join(
+        str(diverged).split()
+    )

@@ -407,9 +407,9 @@ class Refinement(ReportedModel, CodeExports):
         list of str
         """
         lines = [
-            f"The {self._what} explains {_percent(self.fit)} of the "
+            f"The {self._what} explains {_percent(self.fit, self.fit)} of the "
             f"{'measured one' if self.of_responses else 'record'} "
-            f"(initial model {_percent(self.initial_fit)}).",
+            f"(initial model {_percent(self.initial_fit, self.fit)}).",
             "std is the standard deviation over repeated records"
             + (
                 ", for white residuals."
@@ -424,5 +424,15 @@ class Refinement(ReportedModel, CodeExports):
         return lines + [f"Warning: {said}." for said in self.warnings if said not in self.message]
 
 
-def _percent(fit: Array) -> str:
-    return " / ".join(f"{value:.4g} %" for value in np.atleast_1d(fit))
+def percent(fit: float, reached: float) -> str:
+    """Return a fit as text, also that of a constant output or a divergence.
+
+    Either is NaN. A fit is that of a divergence if the fit that was reached in the end is a number.
+    """
+    if not np.isnan(fit):
+        return f"{fit:.4g} %"
+    return "- (constant)" if np.isnan(reached) else "diverges"
+
+
+def _percent(fit: Array, reached: Array) -> str:
+    return " / ".join(map(percent, np.atleast_1d(fit), np.atleast_1d(reached)))

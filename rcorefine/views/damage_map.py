@@ -12,6 +12,7 @@ import numpy as np
 
 from ..arguments import as_text
 from ..exceptions import ModelError
+from ..inference.refinement import percent
 from ..localization.damage_map import DamageMap, DamageRow
 from ..results import chance, shows, with_error
 from ..systems.linear import Array
@@ -80,10 +81,11 @@ def _sentences(result: DamageMap) -> list[str]:
             f"{row.name[0].upper()}{row.name[1:]}: {with_error(row.value, 1.96 * row.std)}."
             for row in result.nuisances[-2:]
         ]
-    fits = ", ".join(
-        f"{before:.4g} -> {after:.4g}" for before, after in zip(result.initial_fit, result.fit, strict=True)
-    )
-    lines.append(f"Fit of the initial model -> with the named changes: {fits} %.")
+    pairs = zip(result.initial_fit, result.fit, strict=True)
+    fits = ", ".join(f"{percent(before, after)} -> {percent(after, after)}" for before, after in pairs)
+    lines.append(f"Fit of the initial model -> with the named changes: {fits}.")
+    if not np.min(result.fit) > 0.0:
+        lines.append("With the changes an output is worse than a constant: do not use them, check the model.")
     lines.append(result.message)
     return lines
 
