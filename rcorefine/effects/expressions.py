@@ -548,7 +548,8 @@ def read_by(*functions: Any) -> bytes:
     Returns
     -------
     bytes
-        Other ones after any change, the same in each process; empty if a value cannot be written as bytes.
+        Other ones after any change, the same in each process; empty if a value cannot be written as bytes,
+        or is an object that can be called.
     """
     found: list[bytes] = []
     done: set[int] = set()
@@ -564,7 +565,9 @@ def read_by(*functions: Any) -> bytes:
         elif isinstance(value, CodeType):
             found.append(value.co_code)
             waiting += [(one, names) for one in (value.co_names, *value.co_consts)]
-        elif callable(value) and hasattr(value, "__name__"):  # of numpy or numba
+        elif callable(value):  # of numpy or numba; an object may do what its values do not tell
+            if not hasattr(value, "__name__"):
+                return b""
             found.append(value.__name__.encode())
         else:
             try:
