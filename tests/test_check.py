@@ -9,6 +9,7 @@ import control as ct
 import numpy as np
 import pytest
 from hidden.wider import wider_record
+from scipy.signal import butter, lfilter
 
 import rcorefine as rco
 from rcorefine.commands.cli import main
@@ -437,3 +438,127 @@ def test_what_the_verdict_explains_is_not_printed_with_it():
     assert warned(rows, True, ["y"])[0] == "LOOK: resolution."
     assert "clipping" in warned(rows, True)[0]
     assert "gain" in warned(rows)[0]
+
+
+# ------------------------------------------------------------ nothing is said that the data do not show
+def converted(y, bits):
+    step = 2 * np.abs(y).max() / 2**bits
+    return np.round(y / step) * step
+
+
+@pytest.mark.parametrize("bits", [8, 10])
+@pytest.mark.parametrize("period", [7.3, 8, 12])
+def test_a_converter_shows_zero_crossings_as_zero_and_loses_nothing(period, bits):
+    w = np.sin(2 * np.pi * np.arange(N) / period)
+    y = converted(outputs(w), bits)
+    assert "dropouts" not in look(w, y)
+    top = 700 + int(np.argmax(y[700:730]))
+    y[top - 1 : top + 2] = 0.0
+    assert look(w, y)["dropouts"].figure == "3 samples read 0"
+
+
+@pytest.mark.parametrize("bits", [6, 8, 12])
+@pytest.mark.parametrize("shape", ["band", "rectified", "dead zone", "ringing", "steps"])
+def test_fast_signals_that_pass_or_rest_at_zero_lose_nothing(shape, bits):
+    rng, t = np.random.default_rng(0), np.arange(N)
+    sine = np.sin(2 * np.pi * t / 15.3)
+    ring = np.exp(-np.arange(200) / 25) * np.sin(2 * np.pi * np.arange(200) / 7)
+    y = {
+        "band": lfilter(*butter(4, 0.5), rng.standard_normal(N)),
+        "rectified": np.abs(np.sin(2 * np.pi * t / 12)).round(12),
+        "dead zone": sine - np.clip(sine, -0.3, 0.3),
+        "ringing": np.tile(ring, N // 200),
+        "steps": np.repeat(rng.integers(-3, 4, N // 20), 20).astype(float),
+    }[shape]
+    assert "dropouts" not in look(drive(), converted(y, bits))
+
+
+@pytest.mark.parametrize("samples", [1, 4, 30])
+def test_lost_samples_are_counted(samples):
+    w = drive()
+    y = converted(noisy(w) + 3.0, 12)
+    for start in (400, 900, 1500):
+        y[start : start + samples] = 0.0
+    assert look(w, y)["dropouts"].figure == f"{3 * samples} samples read 0"
+
+
+def tank(drop, seed):
+    """A tank with outflow sqrt(h) near the level 2, by small Euler steps; inflow and level are absolute."""
+    rng, q0 = np.random.default_rng(seed), np.sqrt(2.0)
+    q, h, run = q0 * (1 - drop) + np.repeat(rng.uniform(-0.45, 0.45, 50), 40), 2.0, []
+    for value in q:
+        run.append(h)
+        for _ in range(10):
+            h += 0.05 * (value - np.sqrt(h))
+    linear = ct.ss([[-0.5 / q0]], [[1.0]], [[1.0]], 0, inputs="q", outputs="h", states=["h"])
+    model = rco.physical(linear, operating_point={"inputs": [q0], "states": [2.0], "outputs": [2.0]})
+    return model, q, np.array(run) + 0.01 * rng.standard_normal(N)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_absolute_record_between_zero_and_its_point_holds_no_deviations(seed):
+    """Its mean is under three spreads from zero, and under one from the point."""
+    model, q, h = tank(0.12, seed)
+    assert abs(h.mean() - 2.0) < h.std()
+    assert h.mean() < 3.0 * h.std() < 2.0
+    labels = {"input_labels": "q", "output_labels": "h"}
+    (level,) = [
+        r for r in rco.check(model, rco.Measurement(q, h, dt=0.5, **labels)).rows if r.what == "level"
+    ]
+    assert "deviations" not in level.sentence
+    data = rco.Measurement(q - np.sqrt(2.0), h - 2.0, dt=0.5, **labels)
+    (level,) = [row for row in rco.check(model, data).rows if row.what == "level"]
+    assert "nearer to zero than to the operating point" in level.sentence
+
+
+@pytest.mark.parametrize("drag", [0.03, 0.1, 0.3])
+def test_a_missing_law_is_no_gain_and_no_unit(drag):
+    """All parameters are exact; the response is smaller because the drag grows with the speed."""
+    (row,) = unit_rows(*spun(drag=drag))
+    assert "missing effect" in row.sentence
+    assert "wrong gain" not in row.sentence
+    assert "unit" not in row.sentence
+    (row,) = unit_rows(*spun(gain=0.8))
+    assert "a wrong gain or parameter value, a missing effect, or a unit" in row.sentence
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_shaker_that_its_plant_acts_back_on_is_no_controller(seed):
+    """Force = Bl/R (voltage - Bl speed): no controller, yet the force follows the noisy motion."""
+    rng, d = np.random.default_rng([seed, 8]), MODEL.sample(DT)
+    volts, x, force, y = 2 * rng.standard_normal(N), np.zeros(2), np.zeros(N), np.zeros(N)
+    for k in range(N):
+        y[k] = (d.C @ x)[0]
+        force[k] = volts[k] - 0.5 * x[1]
+        x = d.A @ x + d.B[:, 0] * (force[k] + 2 * rng.standard_normal())
+    said = look(force, y + 0.01 * y.std() * rng.standard_normal(N))["closed loop"].sentence
+    assert "a controller acts" not in said
+    assert "acts back on its actuator" in said
+
+
+def test_no_sign_of_a_controller_is_not_an_open_loop():
+    """A PI controller, a set point in steps and a quiet sensor: what comes back is too small to see."""
+    rng, d = np.random.default_rng(3), MODEL.sample(DT)
+    wanted, x, u, y, total = (
+        np.repeat(rng.standard_normal(N // 100), 100),
+        np.zeros(2),
+        np.zeros(N),
+        np.zeros(N),
+        0.0,
+    )
+    for k in range(N):
+        y[k] = (d.C @ x)[0] + 0.007 * rng.standard_normal()
+        total += DT * (wanted[k] - y[k])
+        u[k] = 0.2 * (wanted[k] - y[k]) + 0.5 * total
+        x = d.A @ x + d.B[:, 0] * u[k]
+
+    def loop(u, y):
+        data = rco.Measurement(u, y, dt=DT, input_labels="u", output_labels="y")
+        (row,) = [row for row in rco.check(MODEL, data, information=False).rows if row.what == "closed loop"]
+        return row
+
+    row = loop(u, y)
+    assert (row.status, row.figure) == ("ok", "no sign")
+    assert "No sign of a controller in this record" in row.sentence
+    sine = np.sin(2 * np.pi * np.arange(N) / 40)
+    assert loop(sine, noisy(sine)).figure == "not tested"

@@ -35,6 +35,7 @@ _NORMAL = 1.4826  # standard deviation over the median absolute deviation, for n
 _SMALL = 1e-4  # of an output's size: what is smaller carries no error
 _LATER = 20.0  # log-likelihood by which a delay must win
 _MOVED = 1e-9  # of a run: what inputs move less than this is rounding
+_EXPLAINED = 0.9  # of the error's energy: a gain that explains less is not alone
 _PART, _TELLS = 0.25, 0.01  # of what a plain gain leaves; of the samples, that tell a level from a start
 _OTHER_SIGN = 0.01  # of a signal's energy: with less of it, the signal has one sign
 _END, _MUCH_THERE, _OFTENER = 0.02, 0.05, 3.0  # of the range; of the samples; times as much as is usual
@@ -44,7 +45,7 @@ class _Gain(NamedTuple):
     """Gain of the record relative to the simulation, with its details.
 
     The fields are the value, its standard error, the correlations with and without the delay, the delay in
-    samples, and the remainder.
+    samples, the share of the error's energy that the gain alone explains, and the remainder.
     """
 
     value: float
@@ -52,6 +53,7 @@ class _Gain(NamedTuple):
     correlation: float
     undelayed: float
     delay: int
+    share: float
     left: Array
 
 
@@ -134,11 +136,12 @@ def _gain(y: Array, run: Array, nuisances: list[Array], least: float) -> _Gain |
     a = without(moved)
     value = float(a @ b) / float(a @ a)
     left = b - value * a
+    share = 1.0 - float(left @ left) / max(float((b - a) @ (b - a)), 1e-300)
     blocks = zip(np.array_split(a, _BLOCKS), np.array_split(left, _BLOCKS), strict=True)
     std = float(np.linalg.norm([one @ other for one, other in blocks])) / float(a @ a)
     rest = zip(np.split(y - value * moved, ends), nuisances, strict=True)
     level = [row - part[:, :-1] @ np.linalg.lstsq(part, row)[0][:-1] for row, part in rest]
-    return _Gain(value, std, then if delay else now, now, delay, np.concatenate(level))
+    return _Gain(value, std, then if delay else now, now, delay, share, np.concatenate(level))
 
 
 def _bent_row(label: str, y: Array, run: Array, inputs: Array, begun: Array) -> CheckRow | None:
@@ -197,8 +200,8 @@ def _delay_row(label: str, found: _Gain, dt: float) -> Iterator[CheckRow]:
         word, cause, pace = "behind", "a delay (output_delay, input_delay)", "fast"
     yield CheckRow(
         LOOK, "delay", label, f"{count}, {time}",
-        f"{label} is best matched {count} ({time}) {word} the model: {cause}, or model dynamics that are too "
-        f"{pace}.",
+        f"{label} is best matched {count} ({time}) {word} the model: {cause}, model dynamics that are too "
+        f"{pace}, or a missing effect.",
     )  # fmt: skip
 
 
@@ -249,7 +252,8 @@ def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[Che
         return
     # missing dynamics turn and shrink a response too, but then little of the record goes with the model
     like = abs(found.correlation)
-    clear = factor in (None, 1.0) and (like > _SAME or abs(np.log(abs(value))) > np.log(_FAR))
+    large = abs(np.log(abs(value))) > np.log(_FAR)
+    clear = factor in (None, 1.0) and (large or (like > _SAME and found.share > _EXPLAINED))
     words, certain = likely(abs(value), found.std, label, record, model) if clear else ("", False)
     certain = certain and like > _SAME  # the rest of the record has to go with it
     unit = f"{'the record looks like' if certain else 'perhaps'} {words}"
@@ -261,10 +265,16 @@ def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[Che
         status, what = STOP, "units"
         said = f"{label}: {unit}. The size agrees within its error, and so does the rest of the record."
     else:
+        alone = found.share > _EXPLAINED  # other dynamics change the size of a response, too
         status, what = LOOK, "units" if words else "gain"
-        said = f"{label} is {figure} times the model output: a wrong gain or parameter value"
-        said += ", or a sign" if value < 0 else ""
-        said += f", or a unit ({words})." if words else ", or a unit." if factor is None else "."
+        causes = ["a wrong gain or parameter value", "a missing effect"]
+        said = f"{label} is {figure} times the model output"
+        if not alone:
+            said, causes[0] = f"{said}, and differs by more than a gain", "a wrong parameter value"
+        if words or (alone and factor is None):
+            causes.append(f"a unit ({words})" if words else "a unit")
+        causes += ["a sign"] if value < 0 else []
+        said += f": {', '.join(causes[:-1])}, or {causes[-1]}."
     yield CheckRow(status, what, label, figure, said)
 
 
@@ -335,11 +345,12 @@ def level_rows(
     far = (np.abs(means) > _FAR_OFF * spreads) & fixed
     odd = list[CheckRow]()
     if point is not None:
-        for i in np.flatnonzero((np.abs(point.outputs) > _FAR_OFF * spreads) & ~far & fixed & (taken == 0)):
+        nearer = (np.abs(means) < np.abs(means - point.outputs)) & ~far & fixed & (taken == 0)
+        for i in np.flatnonzero(nearer & (np.abs(point.outputs) > _FAR_OFF * spreads)):
             said = (
-                f"{data.output_labels[i]} looks like deviations from an operating point, but in the model "
-                f"this point is {point.outputs[i]:.4g}. Give the record as it was measured, or a model "
-                "without an operating point."
+                f"The mean of {data.output_labels[i]} is nearer to zero than to the operating point of the "
+                f"model ({point.outputs[i]:.4g}). If the record holds deviations from a point, give it as it "
+                "was measured, or a model without an operating point."
             )
             odd.append(CheckRow(LOOK, "level", data.output_labels[i], with_error(means[i], spreads[i]), said))
     # where it is led, or begins anew, its level is that of the record
@@ -374,7 +385,7 @@ def level_rows(
 def _mean_row(data: Measurement, free: bool) -> CheckRow:
     """Return the row on the means of outputs in which nothing is odd."""
     if not any(_stands(y.mean(), _error(y, y.size), y.std()) for y in data.outputs):
-        said = "The outputs look like deviations from an operating point."
+        said = "The means of the outputs are about zero, as those of deviations from an operating point."
         return CheckRow(OK, "level", "", "about zero", said)
     said = "the model explains them." if free else "no simulation shows whether the model explains them."
     figure = "by the model" if free else "not zero"

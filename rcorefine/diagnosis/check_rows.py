@@ -14,9 +14,9 @@ from scipy import stats
 
 from ..comparison.result import Comparison
 from ..data.measurement import Measurement
-from ..data.records import clipped, coarse_noise, resolution, runs
+from ..data.records import clipped, coarse_noise, resolution
 from ..effects.effect import Effect
-from ..inference.whitening import Whitener
+from ..inference.whitening import Whitener, autoregression, innovations
 from ..models.operating_point import Controller, answer, unrecorded
 from ..results import Result, Row
 from ..systems.linear import Array, LinearModel
@@ -127,6 +127,7 @@ _SAME = 1.0 - 1e-9  # correlation from which two signals are one
 _COARSE = 2.0  # steps of the converter over the noise
 _FEW = 0.1  # of the standard deviation: a step from which on a signal has but few levels
 _JUMP = 2.5  # steps of a coarse signal: its own, through zero, are smaller
+_RESTS = 0.2  # share of samples at exactly 0 from which on that is where the signal rests
 
 
 def signal_rows(data: Measurement) -> Iterator[CheckRow]:
@@ -196,17 +197,33 @@ def _output_rows(label: str, y: Array) -> Iterator[CheckRow]:
             LOOK, "resolution", label, f"{count}steps of {step:.3g}",
             f"{label} has {count}steps of {step:.3g} ({said}): smaller changes cannot be seen.",
         )  # fmt: skip
-    first, end = runs(y == 0.0)  # exactly zero between samples that are not
-    inner = (first > 0) & (end < y.size)
-    first, end = first[inner], end[inner]
-    before, after = np.abs(y[first - 1]), np.abs(y[end])
-    lost = int(np.sum((end - first)[np.minimum(before, after) > max(0.5 * spread, _JUMP * step)]))
+    lost = _lost(y, max(0.5 * spread, _JUMP * step))
     if lost:
         yield CheckRow(
             LOOK, "dropouts", label, f"{lost} samples read 0",
-            f"{label} jumps to exactly 0 and back in {lost} samples: the sensor or its connection dropped "
-            "out. Mark these samples as missing if possible.",
+            f"{label} reads exactly 0 in {lost} samples, far from what the samples before and after predict: "
+            "the sensor or its connection dropped out. Mark these samples as missing if possible.",
         )  # fmt: skip
+
+
+def _lost(y: Array, least: float) -> int:
+    """Count exact zeros that the signal before and after does not predict.
+
+    A signal also passes through 0 or rests there by its own motion, which a converter shows as exactly 0. So
+    the predictions from both sides must be `least` from 0, and further than any other reading from its own.
+    """
+    if not 0.0 < np.mean(y == 0.0) < _RESTS:
+        return 0
+    a, _ = autoregression(y)
+    centered = y - y.mean()
+    ahead, back = np.abs(innovations(a, centered)), np.abs(innovations(a, centered[::-1])[::-1])
+    edges = np.flatnonzero(np.diff(y)) + 1
+    first, end = np.append(0, edges), np.append(edges, y.size)  # of each reading, however long it stays
+    # without a whole past or future there is no prediction
+    inner = (first >= a.size) & (end <= y.size - a.size)
+    first, end = first[inner], end[inner]
+    off, zero = np.minimum(ahead[first], back[end - 1]), y[first] == 0.0
+    return int(np.sum((end - first)[zero & (off > off[~zero].max(initial=least))]))
 
 
 _LAGS = 20
@@ -333,20 +350,27 @@ def feedback_rows(compared: Comparison) -> Iterator[CheckRow]:
     residuals = data.outputs - compared.runs[0]
     # where the input of a sample already shows in its output, only earlier residuals are past
     at_once = data.hold != "zoh" or bool(compared.models[0].D.any())
+    tested = False
     for label, w in zip(data.input_labels, data.inputs, strict=True):
         if np.ptp(w) == 0 or _periodic(w) or data.n_samples < 10 * _LAGS:
             continue
-        new = _white(w)
+        tested, new = True, _white(w)
         for name, e in zip(data.output_labels, residuals, strict=True):
             p, most = _follows(new, _white(e), 1 if at_once else 0)
             if p < _FEEDBACK and most > _STRONG:
                 yield CheckRow(
                     LOOK, "closed loop", label, f"p = {p:.1g}",
-                    f"{label} depends on past values of {name} (correlation up to {most:.2g}): a controller "
-                    "acts. Noise then enters the inputs, and simulations may be biased.",
+                    f"{label} depends on past values of {name} (correlation up to {most:.2g}). Possible "
+                    "causes: a controller, a plant that acts back on its actuator, or a disturbance that "
+                    "reaches both. Noise then enters the inputs, and simulations may be biased.",
                 )  # fmt: skip
                 return
-    yield CheckRow(OK, "closed loop", "", "open", "No input was found to depend on past outputs.")
+    if tested:
+        said = "No sign of a controller in this record: no input was found to depend on past outputs."
+        yield CheckRow(OK, "closed loop", "", "no sign", said)
+    else:
+        said = f"Inputs that rest, repeat or have under {10 * _LAGS} samples cannot show a controller."
+        yield CheckRow(OK, "closed loop", "", "not tested", said)
 
 
 def _white(row: Array) -> Array:
