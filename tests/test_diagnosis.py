@@ -208,3 +208,19 @@ def test_a_gain_is_told_as_what_the_sensor_reads(rng):
     found = rco.diagnose(model, data, candidates=[rco.Effect("output_gain", "y")])
     said = re.search(r"y is then (\S+) times what the model has there", " ".join(str(found).split()))
     assert float(said[1]) == pytest.approx(-1.0, abs=0.01)
+    assert "it is reversed" in " ".join(str(found).split())
+
+
+@pytest.mark.parametrize(("factor", "turned"), [(-1.0, True), (-2.0, True), (0.6, False)])
+def test_a_wiring_that_is_reversed_in_a_frequency_response_is_called_so(rng, factor, turned):
+    chain = rco.mass_spring_damper([1.0, 1.5], [0.5, 0.4], [400.0, 300.0])
+    omega = np.geomspace(2, 60, 80)
+    G = chain.system(1j * omega) * np.array([factor, 1.0])[:, None, None]
+    size = 0.01 * np.abs(G).max()
+    G = G + size * (rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape))
+    found = rco.diagnose(chain, rco.FrequencyResponse(G, omega, std=size))
+    assert [(effect.kind, effect.place) for effect in found.effects] == [("output_gain", "q1")]
+    said = " ".join(str(found).split())
+    value = float(re.search(r"q1 is then (\S+) times what the model has there", said)[1])
+    assert value == pytest.approx(factor, rel=0.04)
+    assert ("it is reversed (swapped wires" in said) == turned

@@ -200,8 +200,10 @@ def _meaning(found: Diagnosis) -> list[str]:
             "rates have the same effect on a record: time the clock itself before you change a parameter."
         ]
     if effect.spec.relative:
-        (gain,) = values.values()
-        return [f"{effect.place} is then {1 + gain:.5g} times what the model has there."]
+        (gain,), (std,) = values.values(), found.best.std.values()
+        said = f"{effect.place} is then {1 + gain:.5g} times what the model has there"
+        turned = 1 + gain + levels().moved * std < 0
+        return [f"{said}{': it is reversed (swapped wires, or another sign convention)' * turned}."]
     model = found.base.physical_model
     port = next((port for port in model.ports if port.name == effect.place), None)
     if port is None or port.force_unit or any(number.physical for number in model.parameters):
