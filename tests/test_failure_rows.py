@@ -164,3 +164,108 @@ def test_how_much_louder_a_stretch_is_has_an_end():
     found = rco.compare(SPRING, Measurement(w, y, dt=STEP)).failures
     (row,) = [row for row in found if row.measure == "error level"]
     assert "more than 1000 times" in row.sentence
+
+
+# ---------------------------------------------------------------------- what a row says
+STIFF = ct.ss([[0, 1], [-40, -0.6]], [[0], [40]], [[1, 0]], 0, inputs="u", outputs="y", states=["x", "v"])
+
+
+def released(law, seed=0):
+    """A decay from 1.2, by small Euler steps, beside a tiny known force."""
+    rng = np.random.default_rng(seed)
+    w, x, v, run = 1e-3 * rng.standard_normal(N), 1.2, 0.0, []
+    for force in w:
+        run.append(x)
+        for _ in range(20):
+            v += STEP / 20 * (40 * force - 40 * x - 0.6 * v - law(x, v))
+            x += STEP / 20 * v
+    y = np.array(run)
+    y = y + 0.005 * y.std() * rng.standard_normal(N)
+    return Measurement(w, y, dt=STEP, input_labels="u", output_labels="y")
+
+
+@pytest.mark.parametrize(
+    ("law", "said"),
+    [
+        (lambda x, v: 40 * (np.sin(x) - x), "weakens the restoring force"),  # a pendulum
+        (lambda x, v: -25 * np.sign(x) * max(abs(x) - 0.6, 0), "weakens the restoring force"),
+        (lambda x, v: 8 * x**3, "grows more than proportionally to displacement, like a hardening spring"),
+        (lambda x, v: 0.1 * v * abs(v), "grows more than proportionally to speed, like drag"),
+        (lambda x, v: -0.05 * v * abs(v), "grows less than proportionally"),
+        (lambda x, v: -0.7 * np.tanh(100 * v), "acts along it, unlike friction"),
+    ],
+)
+def test_a_force_is_named_with_its_sign(law, said):
+    found = rco.compare(STIFF, released(law)).failures
+    row = next(row for row in found if row.dimension == "state")
+    assert said in row.sentence
+    assert ("hardening" in row.sentence) == ("hardening" in said)
+
+
+@pytest.mark.parametrize(("bend", "said"), [(0.8, "more effect"), (-0.8, "less effect")])
+def test_a_bent_input_is_named_with_its_sign(bend, said):
+    data = record()
+    w = data.inputs[0]
+    acts = w + bend * (w - np.clip(w, -2.0, 2.0))
+    y = ct.forced_response(axis().sample(STEP), U=acts).outputs
+    y = y + 0.01 * y.std() * np.random.default_rng(0).standard_normal(N)
+    rows = rco.compare(axis(), Measurement(w, y, dt=STEP)).failures
+    row = next(row for row in rows if row.dimension == "amplitude")
+    assert row.values["level"] == pytest.approx(2.0, rel=0.1)
+    assert said in row.sentence
+
+
+@pytest.mark.parametrize(("late", "said"), [(3, "a delay in the signal path"), (-3, "different clocks")])
+def test_what_comes_early_has_no_delay(late, said):
+    w = np.random.default_rng(0).standard_normal(N)
+    y = np.roll(ct.forced_response(STIFF.sample(STEP), U=w).outputs, late)
+    y = y + 0.02 * y.std() * np.random.default_rng(1).standard_normal(N)
+    row = rco.compare(STIFF, Measurement(w, y, dt=STEP)).failures[0]
+    assert row.values["samples"] == pytest.approx(late, abs=0.05)
+    assert said in row.sentence
+
+
+def test_no_failure_is_denied_where_none_was_searched():
+    """A closed loop, an unstable model and a short record."""
+    rng, plant = np.random.default_rng(0), ct.ss([[-1.0]], [[1.0]], [[1.0]], 0, inputs="u", outputs="y")
+    wanted, d, y = rng.standard_normal(N), plant.sample(STEP), np.zeros(N)
+    for k in range(N - 1):
+        y[k + 1] = d.A[0, 0] * y[k] + d.B[0, 0] * 2.0 * (wanted[k] - y[k])
+    u, sensed = 2.0 * (wanted - y), y + 0.01 * y.std() * rng.standard_normal(N)
+    data = Measurement(u, sensed, dt=STEP, input_labels="u", output_labels="y")
+    gain = ct.ss([], [], [], [[-2.0]], inputs="y", outputs="u")
+    away = ct.ss([[1.0]], [[1.0]], [[1.0]], 0, inputs="u", outputs="y")
+    looped, short = rco.compare(plant, data, controller=gain), rco.compare(plant, data.segment(0, 1.0))
+    for result in (looped, short, rco.compare(away, data)):
+        found = result.failures
+        assert found.looked == ()
+        assert "were not searched" in str(found)
+        assert "No failure" not in str(found)
+        result.plot("map")
+
+
+def house(resistance=1.0, mass=1.0):
+    """Air and walls: time constants of about 1 and 110 h."""
+    Ra, Rm, Ca, Cm = 5.0 * resistance, 0.6, 1.5, 20.0 * mass
+    A = [[-(1 / Ra + 1 / Rm) / Ca, 1 / (Rm * Ca)], [1 / (Rm * Cm), -1 / (Rm * Cm)]]
+    B = [[1 / (Ra * Ca), 1 / Ca], [0, 0]]
+    return ct.ss(A, B, [[1, 0]], 0, inputs=["outside", "heat"], outputs=["T"], states=["air", "walls"])
+
+
+@pytest.mark.parametrize("samples", [384, 960])
+def test_a_constant_that_the_initial_state_takes_up_is_not_the_difference(samples):
+    """The sensor is exact, and the mean error is that of the comparison."""
+    rng, t = np.random.default_rng(2), 0.25 * np.arange(samples)
+    outside = 5 + 4 * np.sin(2 * np.pi * t / 24) + np.cumsum(rng.standard_normal(samples)) * 0.1
+    heat = 2 * ((t % 24 > 6) & (t % 24 < 22)) * (1 + 0.3 * rng.standard_normal(samples))
+    sun = np.maximum(np.sin(2 * np.pi * (t - 6) / 24), 0)
+    w = np.array([outside, heat])
+    y = ct.forced_response(house().sample(0.25), U=w + [[0], [1]] * sun, X0=[16, 16]).outputs[0]
+    y = y + 0.05 * rng.standard_normal(samples)
+    labels = {"input_labels": ["outside", "heat"], "output_labels": "T", "output_units": "degC"}
+    found = rco.compare(house(1.15, 0.8), Measurement(w, y, dt=0.25, **labels))
+    mean = found.residual[0].mean()
+    for row in found.failures:
+        if row.measure == "offset":
+            assert row.sentence.startswith("With another initial state")
+            assert f"its mean error is {mean:+.3g} degC" in row.sentence

@@ -40,13 +40,14 @@ def failure_table(found: FailureMap) -> Table:
             "such a row by chance if the model were right. 1: best single explanation; +: adds to the rows "
             "above; =: alternative to row 1."
         )
-    else:
-        title = f"No failure of {found.name!r} found (searched: {', '.join(found.looked) or 'nothing'})"
-    if found.looked and not rows:
+    elif found.looked:
+        title = f"No failure of {found.name!r} found (searched: {', '.join(found.looked)})"
         notes = [
             "No significant failure: the residual looks like noise that is independent of input, motion and "
             "time."
         ]
+    else:
+        title = f"Failures of {found.name!r} were not searched"
     notes += [f"{note}." for note in found.notes]
     return Table(_HEADERS, rows, title, notes, left=4)
 
@@ -89,7 +90,8 @@ def _shares(axis: Any, found: FailureMap, name: str) -> list[Any]:
         axis.text(1.5, k, text, va="center", fontsize="x-small", zorder=4,
                   bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.8})  # fmt: skip
     if not rows:
-        axis.text(50, 0, "no significant failure", ha="center", va="center")
+        said = "no significant failure" if found.looked else "not searched"
+        axis.text(50, 0, said, ha="center", va="center")
     axis.set_yticks(range(len(rows)), [str(k + 1) for k in range(len(rows))])
     axis.set(xlim=(0, 100), ylim=(max(len(rows), 1) - 0.4, -0.6))
     axis.set_xlabel("Share of the error [%] (rows overlap)")

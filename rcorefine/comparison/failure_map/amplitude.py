@@ -40,6 +40,11 @@ _SENTENCES = {
     "even distortion": "The effect of {n} has a quadratic part: it has the same direction for both signs.",
     "curvature": "The gain of {n} differs between large and small values.",
 }
+#: Names and sentences where the effect is larger than in the model.
+_LARGER = {
+    "dead zone": ("larger gain below", "Small values of {n} (below {g}) have more effect than in the model."),
+    "saturation": ("larger gain beyond", "Values of {n} beyond {g} have more effect than in the model."),
+}
 _OTHER_SIGN = 0.01  # of an input's energy: with less of it, the input has one sign
 
 
@@ -72,9 +77,10 @@ def _with_level(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
         one = scene.evidence.searched(acting, levels[::2], scaled=True)
         factor, g = map(float, one.values)
         text = {"n": name, "g": f"{g:.3g} {unit}".rstrip()}
-        values = {"input": name, "level": g, "factor": factor, "kind": kind}
-        where, sentence = where.format(**text), _SENTENCES[kind].format(**text)
-        yield Finding("amplitude", where, kind, one, 2, 12, sentence, values)
+        measure, sentence = (kind, _SENTENCES[kind]) if factor > 0 else _LARGER[kind]
+        values = {"input": name, "level": g, "factor": factor, "kind": measure}
+        where, sentence = where.format(**text), sentence.format(**text)
+        yield Finding("amplitude", where, measure, one, 2, 12, sentence, values)
 
 
 def _with_shape(scene: ModelOnRecord, j: int) -> Iterator[Finding]:

@@ -55,6 +55,22 @@ _OF_STORES = {
     "odd velocity": "grows more than proportionally to the state, like radiation or a turbulent leak",
     "beyond": "sets in beyond a limit, like an overflow",
 }
+#: The same where the force does not resist: the model has too much of it.
+_ASSISTING = {
+    "dry": "jumps where the motion reverses and acts along it, unlike friction",
+    "dry by direction": "jumps where the motion reverses and acts along it, unlike friction",
+    "odd velocity": "acts along the motion at high speed: the damping grows less than proportionally",
+    "root": "has the shape of a square root and adds to the state, like an inflow",
+    "beyond": "weakens the restoring force beyond a limit, like a softening spring",
+    "beyond, one side": "weakens the restoring force beyond a limit on one side",
+    "odd displacement": "weakens the restoring force at large displacement, like a softening spring",
+}
+_ASSISTING_STORES = {
+    "dry": "changes sign with the state, has nearly constant size and adds to the state",
+    "dry by direction": "jumps where the state changes sign, and adds to the state",
+    "odd velocity": "adds to a large state: the outflow grows less than proportionally",
+    "beyond": "reduces the outflow beyond a limit",
+}
 
 
 # ---------------------------------------------------------------------- motion and force
@@ -209,6 +225,7 @@ class ForceLaw(NamedTuple):
     code: int  #: of `force_along`
     size: float = 1.0  #: by which the motion is divided there, or the kink
     values: dict[str, Any] | None = None  #: the region as numbers
+    resists: bool = True  #: whether its force acts against the motion
 
     @property
     def kinked(self) -> bool:
@@ -223,7 +240,10 @@ class ForceLaw(NamedTuple):
     @property
     def meaning(self) -> str:
         """Description of a force of this law."""
-        return ({**_MEANINGS, **_OF_STORES} if self.axis == "x" else _MEANINGS)[self.name]
+        meanings = dict(_MEANINGS) if self.resists else {**_MEANINGS, **_ASSISTING}
+        if self.axis == "x":
+            meanings |= _OF_STORES if self.resists else _ASSISTING_STORES
+        return meanings[self.name]
 
     def forces(self, s: Array) -> list[Array]:
         """Return the forces of which it is a combination, along a motion."""
@@ -312,7 +332,10 @@ def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
             if law.code != _LINEAR and (len(columns) == 1 or _apart(scene, *columns))
         ]
         tried = len(laws) * count
-        judged = [(curved[k][0], one) for k, one in evidence.best_of([columns for _, columns in curved])]
+        judged = [
+            (curved[k][0]._replace(resists=bool(one.values.sum() > 0)), one)
+            for k, one in evidence.best_of([columns for _, columns in curved])
+        ]
         found += [_finding(place, law, one, tried) for law, one in judged]
         if judged:
             leaders.append((index, place, *max(judged, key=lambda pair: pair[1].gain), tried))
@@ -387,6 +410,7 @@ def _settled(
         found = scene.evidence.descended(shape, start)
     if not np.isfinite(found.gain) or found.gain <= one.gain:
         return law, one
+    law = law._replace(resists=bool(one.values[0] * (1.0 + found.values[0]) > 0))
     if law.kinked:
         g = float(law.size * np.exp(found.values[1]))
         where = law.where.replace(f"{law.size:.3g}", f"{g:.3g}")

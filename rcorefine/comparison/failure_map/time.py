@@ -18,6 +18,8 @@ _RESTING = 0.2  # share of a record above which its extreme is where the output 
 _LEVEL = 0.1  # of its spread: what a record may rise above the level at which it is cut off
 _SLOW = 6  # half-waves over the record that count as drift
 _SHORTEST = 8  # samples of a stretch: less is an outlier
+_TOLD = 0.1  # of a constant's energy: if initial states leave less, the record cannot tell it from them
+_APART = 0.9  # of the same, from which on the initial state hardly takes part
 _STILL = 0.2  # of the usual movement, below which an output hangs
 _NEAR = 3  # samples around the edge of a stretch
 _JUMP = 4.0  # times the usual step between samples, from which on it is a jump
@@ -55,15 +57,18 @@ def _offset(scene: ModelOnRecord, i: int) -> Finding:
     evidence = scene.evidence
     raw, constant = evidence.with_offset[i] - evidence.residual[i], evidence.constants[i]
     power = float(constant[i] @ constant[i])
-    height = float(raw @ constant[i]) / power if power > 1e-6 * scene.n_samples else 0.0
+    height = float(raw @ constant[i]) / power if power > _TOLD * scene.n_samples else 0.0
     # all rows are judged beside constant offsets, so that it explains nothing of the residual
     gain = -evidence.gain(-scene.only(i, height * constant[i]))
     one = Explanation(np.zeros_like(scene.residual), gain, np.array([height]), height * constant)
-    size, name = height * scene.scale[i, 0], scene.named(i)
-    text = (
-        f"{name} differs from the model by a constant {size:+.3g}{scene.unit(i)}: a sensor offset, or a "
-        "constant force."
-    )
+    size, name, unit = height * scene.scale[i, 0], scene.named(i), scene.unit(i)
+    mean = float(np.mean(scene.measured[i] - scene.run[i])) * scene.scale[i, 0]
+    text = f"{name} differs from the model by a constant {size:+.3g}{unit}"
+    if power > _APART * scene.n_samples:
+        text = f"{text}: a sensor offset, or a constant force."
+    else:  # the rest of the constant is in the estimate of the initial state
+        text = f"With another initial state, {text} (its mean error is {mean:+.3g}{unit}): "
+        text += "a sensor offset, a constant force, or slow dynamics."
     values = {"output": name, "offset": size, "kind": "offset"}
     return Finding("time", f"whole record, {name}", "offset", one, 1, 1, text, values)
 
@@ -83,13 +88,15 @@ def delays(scene: ModelOnRecord) -> list[Finding]:
 
         one = scene.evidence.searched(late, grid)
         samples = float(one.values[0])
-        seconds, word = samples * scene.dt, "later" if samples > 0 else "earlier"
+        seconds, word, cause = samples * scene.dt, "later", "a delay in the signal path"
+        if samples < 0:
+            word, cause = "earlier", "different clocks"
         who, come = "all outputs", "come"
         if len(chosen) == 1:
             who, come = scene.named(chosen[0]), "comes" if len(every) > 1 else "come"
         text = (
-            f"{who} {come} {abs(seconds):.3g} s ({abs(samples):.2f} samples) {word} than in the model: a "
-            "delay in the signal path."
+            f"{who} {come} {abs(seconds):.3g} s ({abs(samples):.2f} samples) {word} than in the model: "
+            f"{cause}, or other dynamics."
         )
         values = {"delay": seconds, "samples": samples, "output": who, "kind": "delay"}
         found.append(Finding("time", f"whole record, {who}", "delay", one, 1, grid.size, text, values))
