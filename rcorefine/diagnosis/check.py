@@ -254,7 +254,7 @@ def _information_rows(shown: tuple[Detectable, ...], model: PhysicalModel | None
     """
     if model is None:
         return []
-    nominal = {(q.kind, q.place): abs(q.value) for q in model.parameters}
+    nominal = {(q.kind, q.place): abs(q.value) for q in model.parameters if q.value}
     blind = [
         d.effect.label for d in shown if d.smallest > nominal.get((d.effect.kind, d.effect.place), np.inf)
     ]

@@ -327,9 +327,10 @@ def parameters_off(trial: Trial, levels: Levels) -> bool:
 
     The change must be significant and larger than 1 % of the initial value (default levels). The gain of a
     channel among the effects also counts. Smaller changes may only compensate a wrong force law, for example
-    a cubic spring in place of a sine; that effect is not named.
+    a cubic spring in place of a sine; that effect is not named. A parameter that is zero has no size to
+    compare with, and does not count.
     """
-    rows, least = determined(trial.model.refinement), _MATTERS * levels.off
+    rows, least = [r for r in determined(trial.model.refinement) if r.initial], _MATTERS * levels.off
     moved = (abs(r.coefficient) > max(levels.moved * r.std, least * abs(r.initial)) for r in rows)
     return any(map(is_gain, trial.effects)) or any(moved)
 

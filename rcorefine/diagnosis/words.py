@@ -272,6 +272,8 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
     sure = sorted((r for r in rows if _moved(r)), key=lambda r: -abs(r.coefficient) / max(r.std, 1e-300))
     said = [
         f"{row.name} {with_error(row.value / row.initial, row.std / abs(row.initial))} times nominal"
+        if row.initial
+        else f"{row.name} {with_error(row.value, row.std, row.unit)}, 0 in the model"
         for row in sure[:_LISTED]
     ]
     if not said:
@@ -297,10 +299,12 @@ def determined(model: Refinement) -> list[EstimatedParameter]:
     -------
     list of EstimatedParameter
         A parameter that the data determine only in relation to others is replaced by its product with
-        powers of as few of them as possible, as a multiple of nominal.
+        powers of as few of them as possible, as a multiple of nominal. One that is zero in the model is no
+        part of a product.
     """
     prior = {(e.kind, e.place): sd for e in model.effects for sd in e.prior.values()}
-    at = [i for i, r in enumerate(model.parameters) if r.role == "linear" and (r.kind, r.place) in prior]
+    linear = [i for i, r in enumerate(model.parameters) if r.role == "linear" and (r.kind, r.place) in prior]
+    at = [i for i in linear if model.parameters[i].initial]
     rows = [model.parameters[i] for i in at]
     size = np.abs([row.value for row in rows])  # of logarithms: products of parameters are sums
     widths = np.array([prior[row.kind, row.place] for row in rows]) / size
@@ -316,7 +320,7 @@ def determined(model: Refinement) -> list[EstimatedParameter]:
         left = left - np.outer(taken, taken) / taken[held[-1]]
         left[held[-1]] = left[:, held[-1]] = 0.0
     powers = -np.linalg.lstsq(C[np.ix_(held, held)], C[held], rcond=None)[0]
-    found = []
+    found = [row for i in linear if not (row := model.parameters[i]).initial]
     for i, row in enumerate(rows):
         if left[i, i] > _ALONE * C[i, i] or C[i, i] < (_TOLD * widths[i]) ** 2:
             found.append(row)
@@ -335,10 +339,12 @@ def determined(model: Refinement) -> list[EstimatedParameter]:
 def far_numbers(rows: Sequence[EstimatedParameter]) -> list[str]:
     """Return the names of parameters that changed implausibly much.
 
-    Such a change is certain, and larger than the error of somebody who knows the plant.
+    Such a change is certain, and larger than the error of somebody who knows the plant. A parameter that is
+    zero in the model has no size to compare its change with.
     """
     sure, far = levels().moved, levels().moved_far
-    return [row.name for row in rows if abs(row.coefficient) - sure * row.std > far * abs(row.initial)]
+    known = [row for row in rows if row.initial]
+    return [row.name for row in known if abs(row.coefficient) - sure * row.std > far * abs(row.initial)]
 
 
 def _moved(row: EstimatedParameter) -> bool:

@@ -25,7 +25,7 @@ from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..models.conversion import as_physical
 from ..models.operating_point import ordered_record
-from ..models.parameters import independent_parameters
+from ..models.parameters import independent_parameters, natural_size
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .refinement import Refinement
@@ -220,13 +220,14 @@ def priors(structure: Structure, roles: Sequence[str], tolerance: float) -> tupl
 def nominal_size(structure: Structure, effect: Effect) -> float:
     """Return the size of the model parameter that an effect changes.
 
-    It is 0 if the model has no such parameter.
+    A parameter that is zero has the natural size of its place, such as the critical damping. The size is 0 if
+    the model has no such parameter.
     """
     if effect.spec.relative:
         return 1.0
     for q in structure.model.parameters:
         if (q.kind, q.place) == (effect.kind, effect.place):
-            return abs(q.value)
+            return abs(q.value) or natural_size(structure.model, q)
     return structure.inertia(effect.place) if effect.spec.inertial else 0.0
 
 

@@ -21,7 +21,7 @@ from ..systems.linear import Array, LinearModel
 from .displacements import Displacement, find_displacements, find_modes, is_companion, of_masses, significant
 from .links import Declared, find_links
 from .masses import MassScale, exchanging, relative_masses
-from .parameters import NominalParameter
+from .parameters import NominalParameter, rate_at
 from .ports import Element, Port, port_at, row_of
 
 _SAME = 1e-6  # relative misfit of numbers that are the same
@@ -160,7 +160,7 @@ def _read_parameters(
         if port.kind == "mechanical" and not port.has_position:
             rest.take(port, Damping.name, i, i)
     rest.left[[item.state for item in displacements]] = 0.0  # kinematics
-    parameters = rest.found
+    parameters = rest.found + _lossless(linear, by_state, elements, rest.found, tolerance)
     for i, j in np.argwhere(rest.left[:, : linear.n_states]).tolist():
         place = f"A[{i},{j}]"
         parameters.append(NominalParameter(place, float(linear.A[i, j]), "", Entry.name, place, False))
@@ -168,6 +168,36 @@ def _read_parameters(
         if column.any() and not base:
             parameters.append(NominalParameter(f"gain[{label}]", 1.0, "1", InputGain.name, label, False))
     return parameters
+
+
+def _lossless(
+    linear: LinearModel,
+    by_state: Mapping[int, Port],
+    elements: Sequence[Element],
+    found: Sequence[NominalParameter],
+    tolerance: float,
+) -> list[NominalParameter]:
+    """Return the losses of a physical structure that are zero in the model.
+
+    They are the damping beside a spring, the friction of a body that no link holds, and the loss of a store
+    that others act back on. Where nothing brings back what moves, as in an integrator, there is none.
+    """
+    A = significant(linear.A, tolerance)
+    linked = np.any([e.port.act for e in elements], axis=0) if elements else np.zeros(len(A), dtype=bool)
+    kinematic = (np.count_nonzero(A, axis=1) == 1) & (np.abs(A).max(axis=1) == 1.0) & ~linear.B.any(axis=1)
+    kinds = {(q.kind, q.place) for q in found}
+    zero = []
+    for port in {p.name: p for p in [*(e.port for e in elements), *by_state.values()]}.values():
+        if port.kind == "mechanical":
+            alone = not (linked & (port.act != 0)).any()
+        else:
+            alone = not port.velocity @ A @ port.act and not kinematic[port.velocity != 0].any()
+        sprung = (Stiffness.name, port.name) in kinds
+        if (Damping.name, port.name) not in kinds and (
+            sprung or (alone and rate_at(A, port.act, port.velocity))
+        ):
+            zero.append(NominalParameter(f"c[{port.name}]", 0.0, "", Damping.name, port.name, False))
+    return zero
 
 
 def _displacement_port(linear: LinearModel, item: Displacement, masses: MassScale, open_: str) -> Port:

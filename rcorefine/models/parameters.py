@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..arguments import as_flag, as_number, as_text
 from ..effects.bodies import Entry
 from ..effects.channels import InputGain
+from ..effects.dampers import Damping
 from ..effects.law import KINDS
 from ..effects.springs import Stiffness
 from ..exceptions import ModelError
@@ -73,6 +74,53 @@ class NominalParameter(Row):
             as_text(getattr(self, key), f"{key} of a parameter")
         as_number(self.value, f"value of parameter {self.name!r}", error=ModelError)
         as_flag(self.physical, f"physical of parameter {self.name!r}")
+
+
+def rate_at(A: Array, act: Array, velocity: Array) -> float:
+    """Return the rate [1/s] at which what a force moves at a place comes back.
+
+    Parameters
+    ----------
+    A : ndarray, shape (n, n)
+        State matrix.
+    act, velocity : ndarray, shape (n,)
+        What a force changes there, and the row that reads the velocity.
+
+    Returns
+    -------
+    float
+        The natural frequency of a mass on its springs, or the damping rate where that is larger. The same in
+        all units of the states. It is 0 if nothing brings back what the force moves.
+    """
+    moved, once = float(velocity @ act), A @ act
+    if moved == 0.0:
+        return 0.0
+    return float(max(abs(velocity @ once / moved), abs(velocity @ A @ once / moved) ** 0.5))
+
+
+def natural_size(model: PhysicalModel, q: NominalParameter) -> float:
+    """Return the size of a change of a parameter that is zero.
+
+    Parameters
+    ----------
+    model : PhysicalModel
+        Model.
+    q : NominalParameter
+        One of its parameters.
+
+    Returns
+    -------
+    float
+        The critical damping at its place, or the stiffness that goes with the rate there. It is 0 where the
+        place has no rate, and for parameters of other kinds.
+    """
+    if q.kind not in (Damping.name, Stiffness.name):
+        return 0.0
+    port = model.port(q.place)
+    rate = rate_at(model.linear.A, port.act, port.velocity)
+    if not rate:
+        return 0.0
+    return (2.0 * rate if q.kind == Damping.name else rate**2) / abs(float(port.velocity @ port.act))
 
 
 def combine_units(rule: str, units: Mapping[str, str]) -> str:
@@ -214,6 +262,6 @@ class _Responses:
                 d = (port.position, port.position_input) if spring else (port.velocity, port.velocity_input)
                 felt = port.output if port.output.size else np.zeros(linear.n_outputs)
                 act, sense = np.concatenate([port.act, felt]), np.concatenate(d)
-            changed = q.value * (self.outputs @ act)[:, :, None] * (sense @ self.inputs)[:, None, :]
+            changed = (q.value or 1.0) * (self.outputs @ act)[:, :, None] * (sense @ self.inputs)[:, None, :]
         flat = (changed * self.scale).reshape(-1)
         return np.concatenate([flat.real, flat.imag])
