@@ -25,7 +25,7 @@ from ..inference.fitted import FittedModel, fitted_from
 from ..inference.levels import levels
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
-from ..models.library import effect_library
+from ..models.library import effect_library, reads_rate
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 from ..progress import Progress
@@ -33,6 +33,7 @@ from .residual_tests import passes
 
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
 _SOLVED = 1e-7  # of a response: its balance of harmonics is solved to 1e-8, which grows near a resonance
+_SURE = 1e-3  # of the sample interval: its standard deviation where an output holds differences of samples
 SHORTEST, _FEWEST = 200, 60  # samples of a record, and values of a frequency response, that can be tested
 
 
@@ -154,6 +155,22 @@ def candidates_of(physical: PhysicalModel) -> list[Effect]:
     return [*effect_library(physical), *faults]
 
 
+def differenced(physical: PhysicalModel, records: Sequence[Measurement]) -> list[Effect]:
+    """Return the candidates of outputs that may be differences of samples.
+
+    A speed from an encoder is the mean over a sample. The interval is that of the record, and known.
+    """
+    steps = {record.dt for record in records}
+    return [
+        Effect(law.name, label, start={name: dt}, prior={name: _SURE * dt})
+        for law in KINDS.values()
+        if (name := law.of_differences)
+        for label, rate in zip(physical.linear.output_labels, reads_rate(physical), strict=True)
+        for dt in steps
+        if rate and len(steps) == 1
+    ]
+
+
 def not_held(candidates: Sequence[Effect], held: Sequence[Effect]) -> list[Effect]:
     """Return the candidates that the model does not contain.
 
@@ -179,6 +196,7 @@ def seen_in(
         return _seen_at_rest(physical, candidates, asked)
     if asked:
         return list(candidates)
+    candidates = [*candidates, *differenced(physical, records)]
     # a power of a command that changes its sign is a saturation or a dead zone by another name
     inputs = np.concatenate([record.inputs for record in records], axis=1)
     turns = (inputs.min(axis=1) < 0) & (inputs.max(axis=1) > 0)

@@ -154,7 +154,8 @@ def diagnose(
         frequency response shows linear effects, delays, gains and hidden modes. Nonlinear effects need
         responses of known amplitude, best at several amplitudes.
     candidates : sequence of Effect, optional
-        Candidate effects, default `effect_library(model)` and the faults of a whole record.
+        Candidate effects, default `effect_library(model)`, the faults of a whole record, and the mean over a
+        sample (`output_average`) at outputs that are rates: speeds from a differenced encoder.
     validation : Measurement or FrequencyResponse, optional
         Validation data for `fit_before` and `fit_after` of the ranking.
     free, tolerance, offset, noise, horizon

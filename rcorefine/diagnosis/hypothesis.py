@@ -442,10 +442,10 @@ def _prior_sds(problem: Problem, theta: Array, columns: Array, size: float, firs
     """Return the prior standard deviation of each coefficient.
 
     Coefficients from `first` on belong to the effects. Each may change the whitened output by `size` to first
-    order. The prior is widened to the fitted value if that is larger.
+    order. The prior is widened to the fitted value if that is larger. A prior of the effect's own stays.
     """
     found, norms = problem.prior_sd.copy(), np.linalg.norm(columns, axis=0)
-    for i in range(first, found.size):
+    for i in first + np.flatnonzero(~np.isfinite(found[first:])):
         found[i] = 0.0
         if norms[i] > 0:
             found[i] = max(size / norms[i], abs(theta[i]))

@@ -199,6 +199,8 @@ def _meaning(found: Diagnosis) -> list[str]:
             f"{effect.explanation} Here it would be {shares}. A wrong clock and parameters that scale all "
             "rates have the same effect on a record: time the clock itself before you change a parameter."
         ]
+    if effect.spec.of_differences and effect.prior:
+        return [f"{effect.place} is the mean over a sample: a differenced encoder."]
     if effect.spec.relative:
         (gain,), (std,) = values.values(), found.best.std.values()
         said = f"{effect.place} is then {1 + gain:.5g} times what the model has there"

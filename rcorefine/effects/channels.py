@@ -335,6 +335,7 @@ class OutputAverage(_Delay, OutputLaw):
     formula = "y(t) -> mean of y from t - window to t"
     explanation = "The sensor {place} shows the mean over the last moments: a moving average."
     on_request = True
+    of_differences = "window"
 
     def response(self, omega: Array, value: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return (1 - exp(-j omega T)) / (j omega T) and its derivative by T."""

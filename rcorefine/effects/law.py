@@ -190,6 +190,9 @@ class Law:
         Whether it is a fault of the record as a whole, which `diagnose` asks for itself.
     one_signed : bool
         Whether it is looked for only at an input that never changes its sign.
+    of_differences : str
+        Coefficient that is the sample interval where the output is a rate, worked out from differences of
+        samples: `diagnose` asks for that itself. "" for none.
     signal : str
         What its coefficient multiplies, where the law is linear in it: ``"displacement"``,
         ``"velocity"``, ``"acceleration"``, ``"value"``, ``"constant"``, ``"rate"``; or what it takes from
@@ -233,6 +236,7 @@ class Law:
     drifts: ClassVar[tuple[str, ...]] = ()
     of_record: ClassVar[bool] = False
     one_signed: ClassVar[bool] = False
+    of_differences: ClassVar[str] = ""
     signal: ClassVar[str] = ""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:

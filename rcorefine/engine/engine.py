@@ -23,6 +23,7 @@ from . import kernels
 from .controlled import sample_jumps, start_columns
 from .inputs import BAND_LIMITED_FACTOR, Drive, InputSignal, clock_drift
 from .linear import Corrections, simulate_linear
+from .matrices import continuous_matrices
 from .setting import Setting, setting
 from .structure import Structure
 
@@ -203,7 +204,7 @@ class Engine:
             )
         for index, channel in s.output_delays:
             if np.isfinite(Yout[:, channel]).all():  # where it blew up there is nothing to shift
-                self._delay_output(theta, index, channel, Yout, SY, sensitivity)
+                self._delay_output(theta, index, channel, Yout, SY, sensitivity, drive)
         return _trajectory(Yout - self._level, SY, X, F, blew_up)
 
     def _march(
@@ -289,22 +290,65 @@ class Engine:
         return own_sizes(reached, (slopes / np.where(level > 0, level, 1.0)).reshape(-1, reached.size))
 
     def _delay_output(
-        self, theta: Array, index: int, channel: int, Y: Array, SY: Array, sensitivity: bool
+        self, theta: Array, index: int, channel: int, Y: Array, SY: Array, sensitivity: bool, drive: Drive
     ) -> None:
-        """Delay one output, along a spline through the samples."""
+        """Delay one output, along a spline through the samples.
+
+        The spline does not smooth the corners that a held input makes at the samples.
+        """
         law = self.structure.effects[index].spec
         assert isinstance(law, OutputLaw)
         (name,) = law.coefficient_names
         value, column = float(self.structure.value(theta, index, name)), self.structure.position(index, name)
-        grid = np.arange(Y.shape[0]) * self.data.dt
-        late, slope = law.later(CubicSpline(grid, Y[:, channel]), value)
+        grid: Array = self.data.dt * np.arange(Y.shape[0], dtype=np.float64)
+        corners = self._corners(theta, channel, SY.shape[2] if sensitivity else 0, drive)
+        late, slope = law.later(_course(grid, Y[:, channel], corners[..., 0]), value)
         if SY.shape[2]:
             slopes = SY[:, channel]
             seen = np.isfinite(slopes).all(axis=0)  # derivatives may overflow where the motion does not
-            slopes[:, seen] = law.later(CubicSpline(grid, slopes[:, seen]), value)[0]
+            own = np.zeros((*corners.shape[:2], slopes.shape[1]))
+            own[..., : corners.shape[2] - 1] = corners[..., 1:]
+            slopes[:, seen] = law.later(_course(grid, slopes[:, seen], own[..., seen]), value)[0]
             if sensitivity and column >= 0:
                 SY[:, channel, column] = slope
         Y[:, channel] = late
+
+    def _corners(self, theta: Array, channel: int, columns: int, drive: Drive) -> Array:
+        """Return the slope and the curvature that held inputs give an output.
+
+        They are constant between two samples. The shape is (2, N - 1, 1 + p): first the output, then its
+        derivatives by the coefficients. They are zero where the inputs do not jump, and behind a law of the
+        output.
+        """
+        s, N = self.structure, self.data.n_samples
+        p = min(columns, s.n_parameters)
+        if drive.course or channel in [at for _, at in s.output_statics]:
+            return np.zeros((2, N - 1, 1 + p))
+        points = np.vstack([theta, theta + 1e-30j * np.eye(theta.size)[:p]])
+        at = continuous_matrices(s, points)
+        C = at.C[:, None, channel]
+        rows = np.concatenate([C @ at.B, C @ at.A @ at.B], axis=1)
+        inputs = [drive.W, *drive.dW]  # over the substeps
+        held, *moved = (W.reshape(N - 1, -1, W.shape[1]).mean(axis=1) for W in inputs)
+        weights = np.concatenate([rows[:1].real, rows[1:].imag / 1e-30])
+        found = np.einsum("nw,kow->onk", held, weights)
+        for column, change in zip(drive.driven, moved, strict=True):
+            if column < p:
+                found[..., 1 + column] += weights[0] @ change.T
+        return np.asarray(found)
+
+
+def _course(grid: Array, values: Array, corners: Array) -> CubicSpline:
+    """Return the spline through values (N, ...) with corners at the samples.
+
+    What has the slopes and curvatures `corners` (2, N - 1, ...) is taken off, and the rest is smooth.
+    """
+    (slope, bend), h = corners, grid[1] - grid[0]
+    slope = slope + np.cumsum(bend * h, axis=0) - bend * h
+    whole = np.concatenate([0.0 * slope[:1], np.cumsum(slope * h + bend * (h * h / 2), axis=0)])
+    course = CubicSpline(grid, values - whole)
+    course.c[-3:] += [bend / 2, slope, whole[:-1]]
+    return course
 
 
 def _trajectory(Y: Array, SY: Array, X: Array, F: Array, blew_up: int) -> Trajectory:

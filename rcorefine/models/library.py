@@ -24,6 +24,8 @@ from .physical_model import PhysicalModel
 from .ports import Port
 
 _MOST_ENTRIES = 20
+_RATE = re.compile(r"speed|veloc|omega|rpm|tacho|_rate|rate_", re.IGNORECASE)
+_OF_RATES = {"m/s", "mm/s", "cm/s", "km/h", "rad/s", "deg/s", "rev/s", "rev/min", "rpm", "1/min"}
 _ANGLE = re.compile(r"angle|theta|phi|psi|roll|pitch|yaw|swing", re.IGNORECASE)
 
 
@@ -107,6 +109,22 @@ def effect_library(
             f"no effect of kind {what} can sit at {where} of model {physical.name!r}; "
             f"its places are {', '.join(physical.places)}"
         )
+    return found
+
+
+def reads_rate(physical: PhysicalModel) -> list[bool]:
+    """Return whether each output is the rate of a displacement, such as a speed.
+
+    Its unit says so, or its name, or its row of C if it reads the velocity of a mechanical place.
+    """
+    linear, motions = physical.linear, [p for p in physical.ports if p.domain in ("mechanical", "rotational")]
+    found = []
+    for y, label in enumerate(linear.output_labels):
+        row = linear.C[y]
+        along = [p.velocity for p in motions if p.has_position and not physical.output_rate[y].any()]
+        reads = any(abs(v @ row) > (1 - 1e-9) * np.linalg.norm(v) * np.linalg.norm(row) > 0 for v in along)
+        unit = physical.output_units[y]
+        found.append(unit in _OF_RATES or (not unit and (bool(_RATE.search(label)) or reads)))
     return found
 
 
