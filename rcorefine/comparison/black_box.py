@@ -67,7 +67,7 @@ def black_box(data: Measurement, order: int = 4) -> ct.StateSpace:
             f"a black box of order {order} has {unknowns} coefficients for each output; it needs an input "
             f"and {5 * unknowns} samples, the record has {n_inputs} and {n_samples}"
         )
-    blocks = [_output_error(y, data.inputs, order) for y in data.outputs]
+    blocks = [output_error(y, data.inputs, order)[0] for y in data.outputs]
     if any(block is None for block in blocks):
         y = data.output_labels[[block is None for block in blocks].index(True)]
         raise ModelError(f"no stable black box of order {order} describes {y}; try another order")
@@ -80,8 +80,25 @@ def black_box(data: Measurement, order: int = 4) -> ct.StateSpace:
     return ct.ss(A, B, C, D, data.dt, name=f"black box, order {order}", **names)
 
 
-def _output_error(y: Array, inputs: Array, order: int) -> tuple[Array, Array] | None:
-    """Return numerators (n_w, order + 1) and denominator of one output."""
+def output_error(y: Array, inputs: Array, order: int) -> tuple[tuple[Array, Array] | None, float]:
+    """Return the black-box model of one output, and its simulation error.
+
+    Parameters
+    ----------
+    y : ndarray, shape (N,)
+        Output.
+    inputs : ndarray, shape (n_w, N)
+        Inputs.
+    order : int
+        Number of states.
+
+    Returns
+    -------
+    model : tuple of ndarray, or None
+        Numerators (n_w, order + 1) and denominator; None if none is stable.
+    error : float
+        Norm of the simulation error, inf without a model.
+    """
     start = np.zeros((order, y.size))
     np.fill_diagonal(start, 1.0)  # pulses at the first samples: the initial state
     fixed = [lag for u in inputs for lag in _lags(u, range(order + 1))] + [*start, np.ones(y.size)]
@@ -101,7 +118,7 @@ def _output_error(y: Array, inputs: Array, order: int) -> tuple[Array, Array] | 
         error = float(np.linalg.norm(y - driven @ gains))
         if error < least and np.abs(np.roots(a)).max(initial=0.0) < 1.0:
             least, best = error, (gains[: (order + 1) * len(inputs)].reshape(len(inputs), -1), a)
-    return best
+    return best, least
 
 
 def _lags(row: Array, lags: range) -> list[Array]:

@@ -25,7 +25,7 @@ from ..inference.fitted import FittedModel, fitted_from
 from ..inference.levels import levels
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
-from ..models.library import effect_library, reads_rate
+from ..models.library import effect_library, reads_rate, zero_entries
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 from ..progress import Progress
@@ -148,11 +148,11 @@ class Case:
 def candidates_of(physical: PhysicalModel) -> list[Effect]:
     """Return the candidate effects and the possible faults of a record.
 
-    Such a fault concerns a record as a whole.
+    Entries of B, C and D that are zero are candidates, too. A fault concerns a record as a whole.
     """
     inputs = physical.linear.input_labels[:1]  # such a fault is the same at all of them
     faults = [Effect(law.name, place) for law in KINDS.values() if law.of_record for place in inputs]
-    return [*effect_library(physical), *faults]
+    return [*effect_library(physical), *zero_entries(physical), *faults]
 
 
 def differenced(physical: PhysicalModel, records: Sequence[Measurement]) -> list[Effect]:

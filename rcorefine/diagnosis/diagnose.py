@@ -154,8 +154,8 @@ def diagnose(
         frequency response shows linear effects, delays, gains and hidden modes. Nonlinear effects need
         responses of known amplitude, best at several amplitudes.
     candidates : sequence of Effect, optional
-        Candidate effects, default `effect_library(model)`, the faults of a whole record, and the mean over a
-        sample (`output_average`) at outputs that are rates: speeds from a differenced encoder.
+        Candidate effects. By default these are `effect_library(model)`, the zero entries of B, C and D of
+        stores, the faults of a whole record, and `output_average` over a sample at outputs that are rates.
     validation : Measurement or FrequencyResponse, optional
         Validation data for `fit_before` and `fit_after` of the ranking.
     free, tolerance, offset, noise, horizon
@@ -198,7 +198,8 @@ def diagnose(
 
     Decision: "adequate" needs a residual that passes the tests, and no set that is ``1 / significance`` times
     as probable. The verdict "effect" needs a probability of at least 0.95, or of 0.5 if no other set is
-    within odds of 100:1. If one force law contains another, the simpler one is named within odds of 10:1.
+    within odds of 100:1. A hidden state (a mode, a store) is named only if no black box without that state
+    reaches the same error. If one force law contains another, the simpler one is named within odds of 10:1.
 
     With several outputs, an output without information in any record is left out, with everything that
     depends on it. Such an output is constant, stops, or shows noise only. The notes name it and give the
@@ -415,6 +416,11 @@ def _denied(search: Search, trial: Trial) -> list[str]:
     if search.determined(first) or search.posterior(first) < search.posterior(trial) + search.price:
         return []
     names, rows = " with ".join(e.label for e in first.effects), []
+    if search.spare(first):
+        return [
+            f"{names} would fit better, but it is not named: a black box without the states that it adds "
+            "reaches the same error."
+        ]
     for effect in first.effects:
         rows += undetermined(first.model.refinement, effect, search.case.levels)
     values = ", ".join(with_error(row.coefficient, row.std) for row in rows)

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..comparison.black_box import output_error
 from ..data import HOLDS
 from ..data.records import at_rest
 from ..effects.effect import Effect
@@ -17,7 +18,7 @@ from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import estimated_motion
-from ..inference.whitening import Whitener
+from ..inference.whitening import Whitener, innovations
 from .beside import Beside, FreeStiffness
 from .case import Case, not_held
 from .hypothesis import Hypothesis, Start, Trial
@@ -107,6 +108,7 @@ class Search:
         self._criticism: dict[Trial, Criticism] = {}
         self._done: set[Any] = set()
         self._polished: dict[Trial, int] = {}  # substeps that sufficed then
+        self._spare: dict[Trial, bool] = {}
 
     def base(self, nuisances: frozenset[Nuisance]) -> FittedModel:
         """Return the model fitted with these nuisances."""
@@ -128,8 +130,38 @@ class Search:
         return sorted(self.trials if trials is None else trials, key=self.posterior)[::-1]
 
     def determined(self, trial: Trial) -> bool:
-        """Return whether the data determine every effect of a trial."""
-        return trial.determined(self.case.levels.moved)
+        """Return whether the data determine every effect of a trial, and need it."""
+        return trial.determined(self.case.levels.moved) and not self.spare(trial)
+
+    def spare(self, trial: Trial) -> bool:
+        """Return whether a trial adds a state that the record does not need.
+
+        A black box without that state reaches the same error: other entries of the matrices explain the
+        record as well.
+        """
+        if trial not in self._spare:
+            added = sum(e.spec.inner_states for e in trial.effects if e.spec.linear and not e.spec.at_channel)
+            judged = self.driven and added and trial.is_linear and not trial.hypothesis.ratio
+            order = trial.problem.structure.n_states - added
+            self._spare[trial] = bool(judged and order and self._box_suffices(trial, order))
+        return self._spare[trial]
+
+    def _box_suffices(self, trial: Trial, order: int) -> bool:
+        """Return whether a black box of some order is as likely as a trial.
+
+        Both have the noise of the trial: signals and residuals are whitened by its filters.
+        """
+        gain = 0.0
+        records, residuals = trial.problem.records, [r for r, _ in trial.blocks]
+        for i, a in enumerate(trial.noise.whitener.filters):
+            own = [innovations(a, r[i])[a.size - 1 :] for r in residuals]
+            boxes = []
+            for record in records:
+                y, *w = (innovations(a, row)[a.size - 1 :] for row in (record.outputs[i], *record.inputs))
+                boxes.append(trial.problem.weights[i] * output_error(y, np.array(w), order)[1])
+            left, size = float(sum(r @ r for r in own)), sum(r.size for r in own)
+            gain += 0.5 * size * float(np.log(max(float(np.square(boxes).sum()), 1e-300) / max(left, 1e-300)))
+        return gain < 0.5 * self.case.levels.rival
 
     @property
     def best(self) -> Trial:
@@ -179,10 +211,11 @@ class Search:
     def is_open(self, effect: Effect) -> bool:
         """Return whether a candidate can be added to re-estimated parameters.
 
-        A parameter of the model cannot: it is re-estimated already.
+        A parameter of the model cannot: it is re-estimated already. An entry of B, C or D can that is zero.
         """
         held = {(e.kind, e.place) for e in self.numbers}
-        return not is_number(effect) or (is_gain(effect) and (effect.kind, effect.place) not in held)
+        beside = is_gain(effect) or _of_signals(effect)
+        return not is_number(effect) or (beside and (effect.kind, effect.place) not in held)
 
     def first_time(self, *key: Any) -> bool:
         """Return whether a key is new, and remember it."""
@@ -533,12 +566,17 @@ class Search:
                 return
 
     def _at_other_ends(self, trial: Trial, i: int) -> list[tuple[Effect, dict[str, float]]]:
-        """Return the same linear channel effect at the other channels."""
-        first, linear = trial.effects[i], [e for e in self.case.library if _of_channel(e)]
+        """Return the same linear effect at the other channels.
+
+        Of an entry of B, C or D those are the others: an input at another store looks like a sensor of it.
+        """
+        first, of_signals = trial.effects[i], _of_signals(trial.effects[i])
+        linear = [e for e in self.case.library if (_of_signals if of_signals else _of_channel)(e)]
         ends = [e for e in linear if e.place != first.place and e.coefficients == first.coefficients]
         key = ("name", trial.hypothesis.key, i)
         fresh = [e for e in ends if first in linear and self.first_time(*key, e)]
-        return [(other, trial.start.values[i]) for other in fresh]
+        values = dict.fromkeys(first.coefficients, 0.0) if of_signals else trial.start.values[i]
+        return [(other, values) for other in fresh]
 
     def _imitations(self, trial: Trial, which: Sequence[int]) -> list[tuple[Effect, dict[str, float]]]:
         """Return the effects that imitate some effects best.
@@ -629,6 +667,11 @@ class Search:
 def _of_channel(effect: Effect) -> bool:
     """Return whether an effect is a linear one at an input or an output."""
     return bool(effect.spec.at_channel and effect.spec.linear)
+
+
+def _of_signals(effect: Effect) -> bool:
+    """Return whether an effect is an entry of B, C or D."""
+    return "any" in effect.spec.where and not effect.place.startswith("A")
 
 
 def is_number(effect: Effect) -> bool:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..effects.effect import Effect
 from ..inference.levels import levels
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..results import chance, with_error
@@ -192,13 +193,7 @@ def _meaning(found: Diagnosis) -> list[str]:
         return []
     effect, values = found.best.effect, found.best.coefficients
     if effect.spec.of_record:
-        shares = " and ".join(f"{100 * v:.3g} % {k}" for k, v in values.items())
-        if found.verdict == "effect":
-            return [f"{effect.explanation} Here it is {shares}: correct the record, not the model."]
-        return [
-            f"{effect.explanation} Here it would be {shares}. A wrong clock and parameters that scale all "
-            "rates have the same effect on a record: time the clock itself before you change a parameter."
-        ]
+        return [_of_record(effect, values, sure=found.verdict == "effect")]
     if effect.spec.of_differences and effect.prior:
         return [f"{effect.place} is the mean over a sample: a differenced encoder."]
     if effect.spec.relative:
@@ -211,6 +206,17 @@ def _meaning(found: Diagnosis) -> list[str]:
     if port is None or port.force_unit or any(number.physical for number in model.parameters):
         return []
     return [f"Units of its coefficients: {port.description}. physical(..., parameters=...) declares others."]
+
+
+def _of_record(effect: Effect, values: Mapping[str, float], *, sure: bool) -> str:
+    """Explain a fault of the record as a whole."""
+    shares = " and ".join(f"{100 * v:.3g} % {k}" for k, v in values.items())
+    if sure:
+        return f"{effect.explanation} Here it is {shares}: correct the record, not the model."
+    return (
+        f"{effect.explanation} Here it would be {shares}. A wrong clock and parameters that scale all "
+        "rates have the same effect on a record: time the clock itself before you change a parameter."
+    )
 
 
 def _best(found: Diagnosis) -> str:

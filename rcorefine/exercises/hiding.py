@@ -128,7 +128,8 @@ def _sized(
     """
     widths = {0: _SHARP * speeds[effect.place]} if effect.spec.jumps else {}
     size = float(np.linalg.norm(plain.std(axis=1)))
-    own = [p.value for p in model.parameters if (p.kind, p.place) == (effect.kind, effect.place) and p.value]
+    known = [p.value for p in model.parameters if (p.kind, p.place) == (effect.kind, effect.place)]
+    own = list(filter(None, known))
     lower = effect.bounds(effect.coefficients[0])[0]
     sign = -1.0 if rng.random() < 0.5 and ((own and lower < 0) or lower == -1.0) else 1.0
     value = 0.1 * abs(own[0]) if own else 0.137

@@ -26,6 +26,7 @@ from .ports import Port
 _MOST_ENTRIES = 20
 _RATE = re.compile(r"speed|veloc|omega|rpm|tacho|_rate|rate_", re.IGNORECASE)
 _OF_RATES = {"m/s", "mm/s", "cm/s", "km/h", "rad/s", "deg/s", "rev/s", "rev/min", "rpm", "1/min"}
+_MOTIONS = ("mechanical", "rotational")
 _ANGLE = re.compile(r"angle|theta|phi|psi|roll|pitch|yaw|swing", re.IGNORECASE)
 
 
@@ -113,11 +114,11 @@ def effect_library(
 
 
 def reads_rate(physical: PhysicalModel) -> list[bool]:
-    """Return whether each output is the rate of a displacement, such as a speed.
+    """Return for each output whether it is a rate, such as a speed.
 
     Its unit says so, or its name, or its row of C if it reads the velocity of a mechanical place.
     """
-    linear, motions = physical.linear, [p for p in physical.ports if p.domain in ("mechanical", "rotational")]
+    linear, motions = physical.linear, [p for p in physical.ports if p.domain in _MOTIONS]
     found = []
     for y, label in enumerate(linear.output_labels):
         row = linear.C[y]
@@ -126,6 +127,31 @@ def reads_rate(physical: PhysicalModel) -> list[bool]:
         unit = physical.output_units[y]
         found.append(unit in _OF_RATES or (not unit and (bool(_RATE.search(label)) or reads)))
     return found
+
+
+def zero_entries(physical: PhysicalModel) -> list[Effect]:
+    """Return `coefficient` effects at entries of B, C and D that are zero.
+
+    Only stores have them (currents, temperatures, levels): a sensor may read another store or an input, too,
+    and an input may act on another store. Sensors and forces of masses sit where they are mounted. Nothing is
+    returned where they would be more than 20.
+    """
+    linear, names = physical.linear, [port.name for port in physical.ports]
+    store = np.ones(linear.n_states, dtype=bool)
+    for port in physical.ports:
+        if port.domain in _MOTIONS and f"shunt {port.name}" not in names:
+            store &= (port.velocity == 0) & (port.position == 0)
+    reads = np.array([row.any() and store[row != 0].all() for row in linear.C], dtype=bool)[:, None]
+    places = [
+        f"{name}[{i},{j}]"
+        for name, zero in (
+            ("C", (linear.C == 0) & reads & store),
+            ("D", (linear.D == 0) & reads),
+            ("B", (linear.B == 0) & store[:, None]),
+        )
+        for i, j in np.argwhere(zero).tolist()
+    ]
+    return [Effect(Entry.name, place) for place in places] if len(places) <= _MOST_ENTRIES else []
 
 
 def describe_effects(effects: Any) -> str:
