@@ -6,16 +6,21 @@ import control as ct
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, dlsim
+from scipy.stats import chi2
 from test_rivals import friction_record
 
 import rcorefine as rco
-from rcorefine.diagnosis.hypothesis import Hypothesis
+from rcorefine.diagnosis.case import Case
+from rcorefine.diagnosis.hypothesis import Hypothesis, Start
+from rcorefine.diagnosis.search import Search
 from rcorefine.diagnosis.verdict import TableRow, answer, special
 from rcorefine.effects import KINDS
 from rcorefine.effects.effect import unit_forces
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.levels import levels
+from rcorefine.progress import Progress
+from rcorefine.refinement.refine import base_fit
 
 LIMITS = {
     "displacement": 1e-6,
@@ -104,6 +109,7 @@ def test_no_law_ends_below_one_that_it_contains(friction):
         ("coulomb_friction", "cubic_stiffness", False),
         ("coulomb_friction cubic_stiffness", "cubic_stiffness stribeck_friction", True),
         ("coulomb_friction", "cubic_stiffness stribeck_friction", False),
+        ("stiffness", "two_stops", True),  # a gap of zero: within a clearance, and that within two stops
         ("coulomb_friction damping", "stribeck_friction cubic_stiffness", False),
     ],
 )
@@ -112,6 +118,55 @@ def test_a_special_case_is_one_member_by_member(one, other, inside):
     assert special(*sets) == inside
     elsewhere = [rco.Effect(effect.kind, "link2") for effect in sets[1]]
     assert not special(sets[0], elsewhere)
+
+
+SIMPLER = {  # forces on an oscillator of stiffness 100, and where a more general law has been fitted
+    ("end_stop", "bilinear_stiffness"): (lambda d, v: 30.0 * max(d, 0.0), {"stiffness": 30, "position": 0}),
+    ("two_stops", "stiffness"): (
+        lambda d, v: -20.0 * d, {"stiffness": -20, "lower": -0.002, "upper": -0.001},
+    ),
+    ("two_stops", "end_stop"): (
+        lambda d, v: 30.0 * max(d - 0.1, 0.0), {"stiffness": 30, "lower": -1e9, "upper": 0.1},
+    ),
+    ("power_damping", "quadratic_damping"): (lambda d, v: 0.3 * v * abs(v), {"damping": 0.3, "power": 2}),
+    ("stribeck_friction", "coulomb_friction"): (
+        lambda d, v: 3.0 * np.tanh(v / 0.02), {"coulomb_force": 3, "static_force": 3, "velocity": 1},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("general", "simple"), SIMPLER)
+def test_a_special_case_is_fitted_from_the_general_law(rng, general, simple):
+    """It ends where the truth is, and as near to the record as the general law."""
+    law, start = SIMPLER[general, simple]
+
+    def rate(x, force):
+        return np.array([x[1], force - 100.0 * x[0] - 0.8 * x[1] - law(*x)])
+
+    w, x, states = 10.0 * rng.standard_normal(1200), np.zeros(2), []
+    for force in w:
+        states.append(x)
+        for _ in range(20):  # midpoint rule
+            middle = x + 0.0005 * rate(x, force)
+            x = x + 0.001 * rate(middle, force)
+    y = np.array(states)[:, 0]
+    data = rco.Measurement(w, y + 0.02 * y.std() * rng.standard_normal(1200), dt=0.02)
+    model = rco.mass_spring_damper([1.0], [0.8], [100.0])
+    effects = [rco.Effect(kind, "link1") for kind in (general, simple)]
+    options = {"free": (), "tolerance": 0.0, "offset": False, "noise": None, "horizon": None}
+    case = Case(base_fit(model, [data], **options), [data], effects, options, 0.01, Progress())
+    search = Search(case, alone=False)
+    search.empty(frozenset())
+    fitted = search.fitted.problem
+    begin = Start([{n: float(v) for n, v in start.items()}], *fitted.unpack(search.fitted.point))
+    whole = search.try_(effects[:1], frozenset(), [begin])
+    search._simplify()
+    found = next(x for x in search.trials if x.effects == (effects[1],))
+    assert found.noise.log_likelihood > whole.noise.log_likelihood - chi2.isf(0.001, 3) / 2
+    rows = {row.name: row for row in found.model.refinement.parameters if row.role == "effect"}
+    size = next(iter(rows.values()))
+    true = next(iter(start.values()))
+    assert abs(size.coefficient - true) < 3.3 * size.std + 0.01 * abs(true)
 
 
 def named(values, passing):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -299,17 +300,26 @@ def _descended(
 
 
 def _shapes_of(
-    effect: Effect, structure: Structure, kinds: set[str], motion: Motion
+    effect: Effect, structure: Structure, given: Mapping[Effect, dict[str, float]], motion: Motion
 ) -> list[dict[str, float]]:
-    """Return shaping coefficients, also those that imitate some kinds."""
+    """Return shaping coefficients, also those that imitate given effects with their coefficients."""
     one = Structure(structure.model, [effect])
     names, shaping = [q.name for q in one.parameters], effect.spec.shaping
     shapes = []
     for start in shape_starts(one, one.start(), motion):
         values = zip(names, map(float, start), strict=True)
         shapes.append({name: value for name, value in values if name in shaping})
-    for kind in kinds & effect.spec.contains.keys():
-        shapes += [{n: effect.spec.contains[kind].get(n, v) for n, v in shapes[0].items()}]
+    for other, known in given.items():
+        if other.kind in effect.spec.contains:
+            limit = effect.spec.contains[other.kind]
+            shapes += [{n: limit.get(n, v) for n, v in shapes[0].items()}]
+        if effect.kind in other.spec.special_cases:  # the gap of a stop is the distance to one of its limits
+            alike = product(effect.spec.shaping, other.spec.shaping & known.keys())
+            for name, its in alike:
+                if effect.spec.coefficient(name).unit_rule == other.spec.coefficient(its).unit_rule:
+                    low, high = effect.bounds(name)
+                    near = float(np.clip(known[its] if low < 0 else abs(known[its]), low, high))
+                    shapes += [{**shapes[0], name: near}]
     return shapes
 
 
@@ -319,7 +329,8 @@ def imitations(
     """Return the effects that imitate the force of some effects best.
 
     Each comes with its coefficients. At most `_IMITATIONS` effects are returned, none that leaves more than
-    `_IMITATED` of the force.
+    `_IMITATED` of the force. Where parameters are re-estimated they take the linear part of the force, unless
+    one of the other effects is such a parameter.
     """
     along = [one for one in map(trial.force, which) if one is not None]
     if len(along) < len(which):
@@ -327,7 +338,9 @@ def imitations(
     d, v, w, force = along[0]
     force = force + sum(one[-1] for one in along[1:])
     # re-estimated parameters take the linear part
-    linear = np.array([d, v]) if trial.hypothesis.floated else np.zeros((0, d.size))
+    others = list(others)
+    beside = trial.hypothesis.floated and not any(other.spec.is_parameter for other in others)
+    linear = np.array([d, v]) if beside else np.zeros((0, d.size))
 
     def fitted(columns: Sequence[Array]) -> tuple[float, Array]:
         """Return the sum of squares that columns leave, and their sizes."""
@@ -337,9 +350,9 @@ def imitations(
 
     whole = float(np.sum((force - linear.T @ np.linalg.lstsq(linear.T, force, rcond=1e-10)[0]) ** 2))
     structure, place, options = trial.problem.structure, trial.effects[which[0]].place, []
-    kinds = {trial.effects[i].kind for i in which}
+    given = {trial.effects[i]: trial.start.values[i] for i in which}
     for other in others:
-        shapes = _shapes_of(other, structure, kinds, motion)
+        shapes = _shapes_of(other, structure, given, motion)
         for shape in shapes:
             free = [n for n in other.free if n not in shape]
             columns = unit_forces(other, d, v, [shape], w, resting(structure, place))

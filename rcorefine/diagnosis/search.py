@@ -45,6 +45,7 @@ _ROUNDS = 2  # linearizations at the best set
 _NEAR = 60.0  # log evidence below the best within which a trial is polished
 _POLISHED = 4
 _RIVALS = 10.0  # log evidence below the best within which an unmeasured force is tried
+_LEADERS = 4  # trials whose laws are simplified
 _FORCE = 3.0  # least gain in log-likelihood for an unmeasured force to be tried
 
 
@@ -260,6 +261,7 @@ class Search:
         with step("other names"):
             self._rename()
         self.polish()
+        self._simplify()
         return self
 
     def _further(self) -> None:
@@ -564,6 +566,43 @@ class Search:
                     self.try_(effects, best.hypothesis.nuisances, starts, noise=best.noise, evaluations=10)
             if self.best is best:
                 return
+
+    def _simplify(self) -> None:
+        """Refit the special cases of the leading laws, each from the optimum of the general law.
+
+        At a limit of its shape a law equals a simpler one. The evidence compares the two only if both are
+        fitted in the same valley.
+        """
+        with self.case.progress.step("simpler laws"):
+            for _ in range(_ROUNDS):
+                before, least = self.best, self.posterior(self.best) - _RIVALS
+                for trial in [x for x in self.ranked() if self.posterior(x) > least][:_LEADERS]:
+                    for i, other in product(range(len(trial.effects)), self.library):
+                        if other.place == trial.effects[i].place and other not in trial.effects:
+                            if other.kind in trial.effects[i].spec.special_cases:
+                                self._special_case(trial, i, other)
+                self.polish()
+                if self.best is before:
+                    return
+
+    def _special_case(self, trial: Trial, i: int, other: Effect) -> None:
+        """Fit a trial with an effect replaced by a special case of it, unless that fits as well already."""
+        effects = (*trial.effects[:i], other, *trial.effects[i + 1 :])
+        nuisances, start = trial.hypothesis.nuisances, trial.start
+        if is_number(other) and trial.hypothesis.floated:  # the parameters are held, except this one
+            nuisances, n = nuisances - self.opened, self.fitted.problem.n_theta
+            start = replace(start, theta=start.theta[:n])
+        known = [x.total for x in self.trials if x.hypothesis.key == (frozenset(effects), nuisances)]
+        if not self.first_time("special", trial, i, other) or max(known, default=-np.inf) > trial.total:
+            return
+        values = {n: start.values[i].get(n, 0.0) for n in other.free}
+        if trial.force(i) is not None:
+            alike = imitations(trial, [i], [other], self.motion)
+            if not alike:
+                return
+            ((_, values),) = alike
+        start = replace(start, values=[*start.values[:i], values, *start.values[i + 1 :]])
+        self.try_(effects, nuisances, [start], noise=trial.noise, evaluations=10)
 
     def _at_other_ends(self, trial: Trial, i: int) -> list[tuple[Effect, dict[str, float]]]:
         """Return the same linear effect at the other channels.

@@ -107,7 +107,11 @@ def special(one: Sequence[Effect], other: Sequence[Effect]) -> bool:
     """
     if len(one) != len(other) or set(one) == set(other):
         return False
-    return all(any(e == o or (o.place == e.place and e.kind in o.spec.contains) for o in other) for e in one)
+
+    def inside(e: Effect, o: Effect) -> bool:
+        return e == o or (e.place == o.place and e.kind in o.spec.special_cases)
+
+    return all(any(inside(e, o) for o in other) for e in one)
 
 
 def answer(search: Search, rows: Sequence[TableRow], passed: Callable[[Trial], bool]) -> Answer:

@@ -69,7 +69,7 @@ class SmoothFriction(PortLaw):
     )
     turns = True
     width_share = SIGN_WIDTH
-    contains = MappingProxyType({"damping": {}})
+    contains = MappingProxyType({"damping": {}, "coulomb_friction": {"velocity": 1e-9}})
 
     @staticmethod
     def law(v, force, velocity):  # type: ignore[no-untyped-def]

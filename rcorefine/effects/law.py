@@ -282,6 +282,12 @@ class Law:
         """Names of the coefficients that shape the law."""
         return frozenset(coefficient.name for coefficient in self.coefficients if coefficient.shapes)
 
+    @property
+    def special_cases(self) -> frozenset[str]:
+        """Names of the laws that it contains, and of those that these contain."""
+        held = frozenset(self.contains)
+        return held.union(*(_LAWS[name].special_cases for name in held if name in _LAWS))
+
     def coefficient(self, name: str) -> Coefficient:
         """Coefficient of the given name (KeyError if there is none)."""
         return {coefficient.name: coefficient for coefficient in self.coefficients}[name]
