@@ -169,6 +169,54 @@ def test_a_special_case_is_fitted_from_the_general_law(rng, general, simple):
     assert abs(size.coefficient - true) < 3.3 * size.std + 0.01 * abs(true)
 
 
+def loaded(A, truth, rng, shift=0):
+    """A record of the plant x' = truth x + b u, and the model that has A; u is late by `shift` tenths."""
+    A, truth = np.atleast_2d(A), np.atleast_2d(truth)
+    B, C = np.eye(len(A))[:, -1:], np.eye(len(A))[:1]
+    u = np.repeat(rng.choice([-1.0, 1.0], 150), 10)
+    late = np.append(np.zeros(shift), np.repeat(u, 10))[: 10 * u.size]
+    y = dlsim((*cont2discrete((truth, B, C, np.zeros((1, 1))), 0.005)[:4], 0.005), late)[1][::10, 0]
+    data = rco.Measurement(u, y + 0.02 * y.std() * rng.standard_normal(u.size), dt=0.05)
+    states = ["T"] if len(A) == 1 else ["x", "v"]
+    return ct.ss(A, B, C, 0, states=states, inputs="P", outputs="y"), data
+
+
+def test_two_names_of_one_change_are_one_hypothesis(rng):
+    """The loss of a store is its entry of A."""
+    found = rco.diagnose(*loaded(-1.0, -1.25, rng))
+    assert found.verdict == "effect"
+    assert found.best.effect == rco.Effect("damping", "T")
+    assert found.best.same == (rco.Effect("coefficient", "A[0,0]"),)
+    assert set(found.ambiguous) == {found.best.effect, *found.best.same}
+    assert found.best.probability > levels().named
+    assert [row.effect for row in found.ranking].count(rco.Effect("coefficient", "A[0,0]")) == 0
+    assert "coefficient at A[0,0]" in str(found)
+    assert "suggest_experiment" not in str(found)
+
+
+def test_a_delay_at_either_end_of_one_path_is_one_hypothesis(rng):
+    A = np.array([[0.0, 1.0], [-4.0, -0.8]])
+    found = rco.diagnose(*loaded(A, A, rng, shift=7))
+    assert found.verdict == "effect"
+    names = {rco.Effect("input_delay", "P"), rco.Effect("output_delay", "y")}
+    assert {found.best.effect, *found.best.same} == names
+    (late,) = found.best.coefficients.values()
+    assert abs(late - 0.035) < 3.3 * found.best.std["delay"]
+
+
+def test_what_one_record_alone_cannot_distinguish_stays_two_hypotheses(rng):
+    """Stiffness and mass are the same at one frequency, not at others."""
+    t = 0.02 * np.arange(1500)
+    w = np.sin(7.0 * t)
+    plant = ct.ss([[0, 1], [-110, -0.8]], [[0], [1]], [[1, 0]], 0)
+    y = ct.forced_response(plant, t, w).outputs
+    y = y + 0.02 * y.std() * rng.standard_normal(t.size)
+    laws = [rco.Effect(kind, "link1") for kind in ("stiffness", "mass")]
+    model = rco.mass_spring_damper([1.0], [0.8], [100.0])
+    found = rco.diagnose(model, rco.Measurement(w, y, dt=0.02, hold="foh"), candidates=laws)
+    assert all(row.same == () for row in found.ranking)
+
+
 def named(values, passing):
     """Verdict, kind and probability from the log posterior of each kind, and those that pass."""
     sets = [((), "", -60.0), *(((rco.Effect(k, "link1"),), k, value) for k, value in values.items())]

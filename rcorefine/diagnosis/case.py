@@ -180,6 +180,16 @@ def not_held(candidates: Sequence[Effect], held: Sequence[Effect]) -> list[Effec
     return [effect for effect in candidates if (effect.kind, effect.place) not in names]
 
 
+def not_tried(physical: PhysicalModel, library: Sequence[Effect], records: Sequence[Any]) -> str:
+    """Name the kinds of effects that fit the model and are candidates only on request."""
+    kinds = [name for name, law in KINDS.items() if law.on_request and not law.needs_law]
+    fitting = seen_in(physical, effect_library(physical, kinds=kinds), records, asked=False)
+    names = sorted({effect.kind for effect in fitting} - {effect.kind for effect in library})
+    if not names:
+        return ""
+    return f"Not tried: {', '.join(names)}. Name them with candidates=effect_library(model, kinds=[...])."
+
+
 def seen_in(
     physical: PhysicalModel, candidates: Sequence[Effect], records: Sequence[Any], asked: bool
 ) -> list[Effect]:

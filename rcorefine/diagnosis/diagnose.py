@@ -36,7 +36,7 @@ from ..progress import Progress
 from ..refinement.refine import base_fit, refit
 from ..results import chance, with_error
 from ..systems.linear import Array
-from .case import Case, no_motion, not_excited
+from .case import Case, no_motion, not_excited, not_tried
 from .check import looks
 from .dead_sensors import without_dead_sensors
 from .hypothesis import Trial
@@ -362,6 +362,8 @@ def _told(
         about |= {"winner_tests": own, "left_to_noise": left, "notes": (*notes, *_against(rows, found))}
         return Diagnosis(word, **about, floated=with_fitting_priors(case, trial))
     law = None
+    if word == "unexplained" and case.settings["candidates"] is None:
+        notes += filter(None, [not_tried(case.base.physical_model, case.library, case.ordered)])
     if word == "unexplained" and case.in_time:
         with case.progress.step("free forces"):
             law, base = open_force(search)
@@ -373,8 +375,11 @@ def _told(
     listed = _listed(search, rows, found, about["base"])
     tied = [set(row.effects) for row in (found.row, *found.ties)]
     alike = [word != "unexplained" and set(one.effects) in tied for one in listed]
-    ranked = ranking(listed, _shares(rows, found, listed), alike, nothing.total, case, validation)
-    others = [e for row in ranked if row.alike for e in row.effects if e not in trial.effects]
+    names = {frozenset(row.effects): row.other_names for row in rows}
+    same = [names.get(frozenset(one.effects), ()) for one in listed]
+    ranked = ranking(listed, _shares(rows, found, listed), alike, same, nothing.total, case, validation)
+    named = [e for row in ranked if row.alike for e in (*row.effects, *row.same)]
+    others = [e for e in named if e not in trial.effects]
     winner = own or tuple(search.all_tests(trial))
     about |= {"ranking": ranked, "winner_tests": winner, "notes": tuple(notes)}
     about["ambiguous"] = tuple(dict.fromkeys([ranked[0].effect, *others]))
@@ -458,8 +463,10 @@ def _listed(search: Search, rows: Sequence[TableRow], found: Answer, base: Refin
         trials = [search.fitter.in_free_run(trial) for trial in dict.fromkeys(here or trials)]
         trials.sort(key=lambda trial: -float(np.mean(trial.model.refinement.fit)))
     first: dict[frozenset[Effect], Trial] = {}
+    renamed = {frozenset(effects) for row in rows for effects in row.same}
     for trial in trials:
-        first.setdefault(frozenset(trial.effects), trial)
+        if frozenset(trial.effects) not in renamed:
+            first.setdefault(frozenset(trial.effects), trial)
     return list(first.values())[:_LISTED]
 
 

@@ -112,8 +112,8 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
             "other candidates may explain it."
         )
         return [], fitted(found.base), why
-    rows = [row for row in found.ranking if row.alike][:_MOST]
-    left = len(found.ambiguous) - len(rows)
+    alike = [row for row in found.ranking if row.alike]
+    rows, left = alike[:_MOST], len(alike) - _MOST
     total = sum(row.probability for row in rows) or 1.0
     contenders = [
         Contender(row.effect, row.refinement, row.probability / total, 2 * row.log_likelihood_gain)

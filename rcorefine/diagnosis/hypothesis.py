@@ -8,6 +8,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
+from ..data.records import at_rest
 from ..effects.effect import Effect, unit_forces
 from ..engine.point import resting, tangents
 from ..inference.covariance import covariance, standard_deviations
@@ -24,6 +25,8 @@ from .residual_tests import TestedResidual
 
 #: Prior probability of each relative standard deviation (spread) of the parameters.
 SPREADS = {0.05: 0.6, 0.2: 0.3, 1.0: 0.1}
+_FINE = 8  # times the substeps: what a delayed edge does between samples depends on them
+_EQUAL = 0.01  # difference of the outputs of equal hypotheses, as a share of their change
 
 
 @dataclass(frozen=True)
@@ -319,6 +322,38 @@ class Trial:
             rows.append((d, v, engine.data.inputs, force))
         d, v, w, force = (np.concatenate(parts, axis=-1) for parts in zip(*rows, strict=True))
         return (d, v, w, force) if np.isfinite([d, v, force]).all() and force.any() else None
+
+    @cached_property
+    def elsewhere(self) -> tuple[Array, Array] | None:
+        """Outputs for white inputs, with and without the effects; None where no input drives the model.
+
+        The inputs have the mean and twice the size of those of the first record. The first quarter of the
+        outputs is left out: it depends on what was before.
+        """
+        first = self.problem.records[0]
+        if not self.problem.in_time or at_rest([first]):
+            return None
+        draw = np.random.default_rng(0).standard_normal(first.inputs.shape)
+        size = np.sqrt(np.mean(np.square(first.inputs), axis=1, keepdims=True))
+        record = replace(first, inputs=first.inputs.mean(axis=1, keepdims=True) + 2.0 * size * draw)
+        found = []
+        for problem, point in ((self.problem, self.point), (self.base.problem, self.base.point)):
+            theta, starts = problem.unpack(point)
+            (engine,) = problem.like(records=[record], substeps=_FINE * problem.substeps).engines
+            found.append(engine.run(theta, starts[0], sensitivity=False, check=False).outputs)
+        with_it, without = (outputs[:, first.n_samples // 4 :] for outputs in found)
+        return with_it, without
+
+    def equals(self, other: Trial) -> bool:
+        """Return whether it is the same change of the model as another trial, under another name.
+
+        Both have the same outputs for white inputs, to a hundredth of that change.
+        """
+        counts = [sum(len(e.free) for e in trial.effects) for trial in (self, other)]
+        if counts[0] != counts[1] or self.elsewhere is None or other.elsewhere is None:
+            return False
+        (one, without), (two, _) = self.elsewhere, other.elsewhere
+        return bool(np.linalg.norm(one - two) < _EQUAL * np.linalg.norm(one - without))
 
     def force_at(self, place: str) -> float:
         """Return the standard deviation of the force of the effects at a port."""

@@ -33,7 +33,17 @@ from ..models.operating_point import ordered_record
 from ..progress import Progress
 from ..refinement.refine import base_fit, refine, refit
 from ..systems.linear import Array
-from .case import Case, Parts, candidates_of, common_horizon, no_motion, not_held, seen_in, split_in_parts
+from .case import (
+    Case,
+    Parts,
+    candidates_of,
+    common_horizon,
+    no_motion,
+    not_held,
+    not_tried,
+    seen_in,
+    split_in_parts,
+)
 from .check import looks
 from .diagnose import about_hold, open_force, with_offsets
 from .hypothesis import Trial
@@ -172,6 +182,8 @@ def improve(
         library = not_held(library, nominal.effects)
         improver = _Improver(start, nominal, parts, settings, library, significance, bar)
         verdict, message, notes = improver.improve(max_effects)
+        if verdict == "unexplained" and candidates is None:
+            notes += filter(None, [not_tried(physical, library, ordered)])
     outputs = physical.linear.output_labels
     units = tuple(parts.fit[0].output_units) if in_time else ("std",) * len(outputs)
     return Improvement(
@@ -446,6 +458,11 @@ class _Improver:
         near = search.posterior(chosen) - 0.5 * search.case.levels.rival
         ties: dict[Effect, list[Effect]] = {e: [] for e in chosen.effects}
         for row in table(search):
+            if set(chosen.effects) in map(set, (row.effects, *row.same)):
+                others = [e for effects in (row.effects, *row.same) for e in effects]
+                names = ", ".join(e.label for e in not_held(list(dict.fromkeys(others)), chosen.effects))
+                said += [f"Another name of the same change, for any record: {names}."] if names else []
+                continue
             gone = set(chosen.effects) - set(row.effects)
             new = set(row.effects) - set(chosen.effects)
             if row.value > near and len(gone) == len(new) == 1:

@@ -54,6 +54,9 @@ class RankedEffect(Row):
         Other effects of the same hypothesis: `refinement` holds them all.
     alike : bool
         Whether the records cannot distinguish it from the best one; the best one itself is.
+    same : tuple of Effect
+        Other names of the same change of the model: no record distinguishes them. Their probability is
+        included.
     """
 
     effect: Effect
@@ -67,6 +70,7 @@ class RankedEffect(Row):
     refinement: Refinement
     beside: tuple[Effect, ...] = ()
     alike: bool = False
+    same: tuple[Effect, ...] = ()
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -75,8 +79,9 @@ class RankedEffect(Row):
 
     @property
     def label(self) -> str:
-        """Names of all its effects."""
-        return " + ".join(effect.label for effect in self.effects)
+        """Names of all its effects, and what else they may be called."""
+        own = " + ".join(effect.label for effect in self.effects)
+        return " = ".join([own, *(effect.label for effect in self.same)])
 
     @property
     def estimates(self) -> list[tuple[Effect, dict[str, EstimatedParameter]]]:
@@ -102,8 +107,9 @@ class Diagnosis(Reported):
     ranking : tuple of RankedEffect
         Candidates that were refitted, the most probable first.
     ambiguous : tuple of Effect
-        Effects that this record cannot tell from the best one, the best included. Of sets of effects: those
-        of the tied sets that the best set does not have. Rows of `ranking` that are tied are `alike`.
+        Effects that this record cannot tell from the best one, the best and its other names included. Of
+        sets of effects: those of the tied sets that the best set does not have. Rows of `ranking` that are
+        tied are `alike`.
     tests : tuple of FTest
         Tests of the model as it is; each has name, statistic, p_value.
     winner_tests : tuple of FTest

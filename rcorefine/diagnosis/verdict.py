@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,12 +38,20 @@ class TableRow:
         Log posterior probability, summed over the nuisances, up to a constant.
     trials : list of Trial
         Fits that the data do not exclude, the most probable first.
+    same : tuple of tuple of Effect
+        Sets that are the same change of the model under another name. Their probabilities are included.
     """
 
     effects: tuple[Effect, ...]
     floated: bool
     value: float
     trials: list[Trial]
+    same: tuple[tuple[Effect, ...], ...] = ()
+
+    @property
+    def other_names(self) -> tuple[Effect, ...]:
+        """Effects of the same sets under another name that its own set does not have."""
+        return tuple(dict.fromkeys(e for effects in self.same for e in effects if e not in self.effects))
 
 
 class Answer(NamedTuple):
@@ -84,7 +92,8 @@ def table(search: Search) -> list[TableRow]:
     """Return the table of sets of effects, the most probable first.
 
     Trials with an effect that the data do not determine are left out. The empty set has two rows: with the
-    parameters held, and with them re-estimated.
+    parameters held, and with them re-estimated. Likely sets that are the same change of the model have one
+    row.
     """
     by_set: dict[Any, list[Trial]] = {}
     for trial in search.ranked():
@@ -96,7 +105,21 @@ def table(search: Search) -> list[TableRow]:
         values = [search.posterior(trial) for trial in trials]
         near = [t for t, v in zip(trials, values, strict=True) if v > values[0] + excluded]
         rows.append(TableRow(near[0].effects, key is True, float(np.logaddexp.reduce(values)), near))
-    return sorted(rows, key=lambda row: -row.value)
+    rows.sort(key=lambda row: -row.value)
+    distinct: list[TableRow] = []
+    for row in rows:
+        likely = row.effects and row.value > rows[0].value + excluded
+        others = [i for i, r in enumerate(distinct) if r.effects] if likely else []
+        i = next((i for i in others if distinct[i].trials[0].equals(row.trials[0])), None)
+        if i is None:
+            distinct.append(row)
+            continue
+        # a law has a meaning that an entry of a matrix lacks
+        known = sorted((distinct[i], row), key=lambda r: any("any" in e.spec.where for e in r.effects))
+        same = (*known[0].same, known[1].effects, *known[1].same)
+        value = float(np.logaddexp(distinct[i].value, row.value))
+        distinct[i] = replace(known[0], value=value, same=same)
+    return sorted(distinct, key=lambda row: -row.value)
 
 
 def special(one: Sequence[Effect], other: Sequence[Effect]) -> bool:
@@ -209,6 +232,7 @@ def ranking(
     trials: Sequence[Trial],
     probabilities: Sequence[float],
     alike: Sequence[bool],
+    same: Sequence[tuple[Effect, ...]],
     nothing: float,
     case: Case,
     validation: Measurement | None,
@@ -223,6 +247,8 @@ def ranking(
         Probability of each set.
     alike : sequence of bool
         Whether the data cannot distinguish the set from the best one.
+    same : sequence of tuple of Effect
+        Other names of each set.
     nothing : float
         Log evidence without any effect.
     case : Case
@@ -250,7 +276,7 @@ def ranking(
         after = _validated(refinement, validation if i < 8 else None, horizon)
         p_value = min(scores.get(effect, 1.0) for effect in trial.effects)
         figures = (before, after, p_value, float(probability), trial.total - nothing)
-        rows.append(RankedEffect(first, values, std, *figures, refinement, tuple(more), alike[i]))
+        rows.append(RankedEffect(first, values, std, *figures, refinement, tuple(more), alike[i], same[i]))
     return tuple(rows)
 
 

@@ -64,8 +64,11 @@ def sentences(found: Diagnosis) -> list[str]:
         lines += [f"Smallest effects that it would show (95 % probability): {shown}."] if shown else []
     elif worst is not None:  # without motion nothing could be tested
         lines += [*_open_law(found), *_tests(found, worst), *_meaning(found)]
+    if found.effects and found.best is not None and found.best.same:
+        names = ", ".join(effect.label for effect in found.best.same)
+        lines.append(f"Another name of the same change, for any record: {names}.")
     lines += _other_forces(found)
-    if found.verdict == "ambiguous" and len(found.ambiguous) > 1:
+    if found.verdict == "ambiguous" and sum(row.alike for row in found.ranking) != 1:
         lines.append(
             "More outputs, a wider band or another amplitude would distinguish them."
             if found.base.of_responses
@@ -98,8 +101,9 @@ def _headline(found: Diagnosis) -> str:
         return "With re-estimated parameters, the residual cannot be distinguished from colored noise."
     if found.floated is not None and far_numbers(determined(found.floated)):
         return "Parameter values explain the data, but such large changes may hide an effect."
-    alike = ", ".join([row.label for row in found.ranking if row.alike] or [e.label for e in found.ambiguous])
-    if len(found.ambiguous) == 1 and found.best is not None:
+    tied = [row.label for row in found.ranking if row.alike]
+    alike = ", ".join(tied or [e.label for e in found.ambiguous])
+    if len(tied) == 1:
         force = found.none_of_these > levels().no_law
         alike += f" and {_force(found)} of unknown form" if force else " and changed parameter values"
     n, place = len(found.effects), found.place

@@ -113,7 +113,7 @@ def _shown(kind: type, names: str) -> None:
 
 _shown(Failure, "role dimension where measure statistic p_value share sentence")
 _shown(FTest, "name statistic dof p_value")
-_shown(RankedEffect, "effect beside coefficients std fit_before fit_after p_value probability")
+_shown(RankedEffect, "effect beside same coefficients std fit_before fit_after p_value probability")
 _shown(EstimatedParameter, "name kind place role initial value coefficient std unit")
 _shown(Step, "action effect coefficients std train_rmse choice_rmse validation_rmse rivals")
 

@@ -64,10 +64,13 @@ def _bars(ax: Any, found: Diagnosis) -> list[Any]:
 
 
 def _wrapped(label: str) -> str:
+    label, *names = label.split(" = ")
     one, *more = label.split(" + ")  # each effect of a set has a line, a single one has two
     lines = [one, *more] if more else one.replace(" at ", "\nat ", 1).split("\n")
+    lines = [("+ " if more and i else "") + line for i, line in enumerate(lines)]
+    lines += [f"= {name}" for name in names]
     words = [a.replace("_", " ") + at + b for a, at, b in (line.partition("at ") for line in lines)]
-    return plain(("\n+ " if more else "\n").join(words))
+    return plain("\n".join(words))
 
 
 def _test_bars(ax: Any, found: Diagnosis) -> list[Any]:
@@ -163,6 +166,7 @@ def diagnosis_told(found: Diagnosis) -> Told:
             whole = [f"{row.fit_after:.2f}", chance(row.p_value), f"{row.probability:.3f}"][: 2 + named]
             value = estimate(first.coefficient, first.std)
             rows.append(["+ " * (i > 0) + effect.label, *value, *([""] * len(whole) if i else whole)])
+        rows += [[f"= {effect.label}", *[""] * (len(headers) - 1)] for effect in row.same]
     if rows and named:
         rows.append(["none of these", "", "", "", "", f"{found.none_of_these:.3f}"])
     if found.open_law is not None:
