@@ -91,4 +91,6 @@ def test_a_swinging_stiffness_is_no_color_of_the_noise(seed: int) -> None:
     assert found.verdict == "unexplained"
     assert found.place == "q"
     said = str(found).replace("\n", " ")  # beside "no test fires" it stands why that is not enough
+    assert "Not tried: " in said
+    assert "input_rate_limit" in said
     assert ("cannot be distinguished from colored noise" in said) == ("No residual test" in said)

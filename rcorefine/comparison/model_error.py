@@ -31,7 +31,7 @@ _LEVELS = tuple(10.0 ** np.arange(-3.0, 3.1, 1.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ModelError(Row):
+class ErrorResponse(Row):
     """Response from the inputs to the residual of a model.
 
     Attributes
@@ -75,7 +75,9 @@ class ModelError(Row):
         return np.asarray(np.abs(self.error) > self.simultaneous)
 
 
-def model_error(comparison: Comparison, model: int = 0, *, segment_length: int | None = None) -> ModelError:
+def model_error(
+    comparison: Comparison, model: int = 0, *, segment_length: int | None = None
+) -> ErrorResponse:
     """Estimate the response from inputs to residual, with 95 % bands.
 
     Parameters
@@ -125,7 +127,7 @@ def model_error(comparison: Comparison, model: int = 0, *, segment_length: int |
     wide = found.std * np.sqrt(2.0 * stats.f.isf(1.0 - 0.95 ** (1.0 / count), 2, free))
     seen = as_sampled(comparison.models[model], data.dt, data.hold)
     response = frequency_response(seen, found.omega)
-    return ModelError(comparison.names[model], found.omega, found.response, response, radius, wide)
+    return ErrorResponse(comparison.names[model], found.omega, found.response, response, radius, wide)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

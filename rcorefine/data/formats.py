@@ -33,7 +33,7 @@ _RESPONSE, _COHERENCE = 4, 6  # what an ordinate of type 58 is
 _MODE, _ANALYSES = 55, (2, 3, 7)  # normal modes, complex ones of first and of second order
 
 
-class Columns(NamedTuple):
+class FileColumns(NamedTuple):
     """Columns of a file by name, with units and notes.
 
     The notes list what was assumed in reading.
@@ -153,7 +153,7 @@ def _is_new(path: str | os.PathLike[str]) -> bool:
         return file.read(10) == b"MATLAB 7.3"
 
 
-def read_mat(path: Any, names: Sequence[str]) -> Columns:
+def read_mat(path: Any, names: Sequence[str]) -> FileColumns:
     """Named vectors of a MATLAB file; version 7.3 of the format needs h5py."""
     if not _is_new(path):
         return _vectors(path, read_matlab(path), names)
@@ -167,18 +167,18 @@ def read_mat(path: Any, names: Sequence[str]) -> Columns:
         ) from error
 
 
-def read_npz(path: Any, names: Sequence[str]) -> Columns:
+def read_npz(path: Any, names: Sequence[str]) -> FileColumns:
     """Named vectors of a file of `numpy.savez`."""
     return _vectors(path, read_archive(path), names)
 
 
-def read_hdf5(path: Any, names: Sequence[str]) -> Columns:
+def read_hdf5(path: Any, names: Sequence[str]) -> FileColumns:
     """Named data sets of an HDF5 file: "group/name", or "group.name"."""
     needed("h5py", "formats", "from_hdf5")
     return _vectors(path, read_apart(path, "hdf5", "HDF5 file that h5py", names), names)
 
 
-def _vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> Columns:
+def _vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> FileColumns:
     """Return the named variables as 1-D arrays of numbers.
 
     The field of a structure has a dotted name.
@@ -203,7 +203,7 @@ def _vectors(path: Any, variables: dict[str, Any], names: Sequence[str]) -> Colu
                 f"{path}: variable {name!r} is {_shape(value)}, not a vector of numbers; there are: {listed}"
             )
         columns[name] = value.ravel()
-    return Columns(columns)
+    return FileColumns(columns)
 
 
 def _shape(value: Any) -> str:
@@ -216,7 +216,7 @@ def _shape(value: Any) -> str:
     return f"{' x '.join(map(str, value.shape))}{kind}"
 
 
-def read_frame(frame: Any, names: Sequence[str]) -> Columns:
+def read_frame(frame: Any, names: Sequence[str]) -> FileColumns:
     """Read named columns of a data frame.
 
     A data frame is one of pandas, or any object with columns and to_numpy.
@@ -254,7 +254,7 @@ def read_frame(frame: Any, names: Sequence[str]) -> Columns:
                 f"({int(missing.sum())} rows); fill the gaps or drop a stretch"
             )
         columns[name] = column.to_numpy()
-    return Columns(columns)
+    return FileColumns(columns)
 
 
 def _column_names(frame: Any) -> list[str]:

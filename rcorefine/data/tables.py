@@ -19,7 +19,7 @@ import numpy as np
 from ..arguments import as_choice, as_text, as_texts, shown
 from ..exceptions import DataError
 from ..systems.linear import Array
-from .formats import Columns
+from .formats import FileColumns
 from .signals import is_clock_time, seconds_of
 
 _PREFIXED = (
@@ -131,7 +131,7 @@ def read_csv(
     delimiter: str | None = None,
     decimal: str | None = None,
     header: Sequence[str] | None = None,
-) -> Columns:
+) -> FileColumns:
     """Named columns of a text file.
 
     Parameters
@@ -187,7 +187,7 @@ def read_csv(
         read |= dict(zip(layout.places, table, strict=True))
     said = f"{Path(path).name}: " + "; ".join((layout.text, *notes))
     clocks = dict.fromkeys(read.keys() - layout.places.keys(), "s")
-    return Columns({name: read[name] for name in names}, layout.units | clocks, (said,))
+    return FileColumns({name: read[name] for name in names}, layout.units | clocks, (said,))
 
 
 def _text(path: Any) -> tuple[str, tuple[str, ...]]:

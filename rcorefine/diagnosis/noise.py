@@ -47,7 +47,7 @@ class Noise(NamedTuple):
         return any(np.ptp(w) > 0 for w in self.weights)
 
 
-class Fit(NamedTuple):
+class NoiseFit(NamedTuple):
     """Noise model fitted to the residual of one output."""
 
     log_likelihood: float
@@ -101,16 +101,16 @@ class Residual:
         return value, a, variance
 
 
-def _autoregressive(residual: Residual) -> Fit:
+def _autoregressive(residual: Residual) -> NoiseFit:
     """Fit autoregressive noise with normal innovations.
 
     Schwarz's criterion determines the order (Annals of Statistics 6 (1978) 461).
     """
     value, a, variance = residual.colored
-    return Fit(value, a, variance, np.ones(residual.left.size), f"autoregressive {a.size - 1}")
+    return NoiseFit(value, a, variance, np.ones(residual.left.size), f"autoregressive {a.size - 1}")
 
 
-def _heavy_tailed(dof: float, residual: Residual) -> Fit | None:
+def _heavy_tailed(dof: float, residual: Residual) -> NoiseFit | None:
     """Fit autoregressive noise with innovations of Student's t distribution.
 
     The filter is that of the normal model. Expectation-maximization gives the scale and the weights.
@@ -131,10 +131,10 @@ def _heavy_tailed(dof: float, residual: Residual) -> Fit | None:
     value = e.size * constant - 0.5 * (dof + 1) * float(np.sum(np.log1p(e**2 / (dof * scale))))
     value = value * row.size / e.size - a.size * residual.price
     weights = np.concatenate([np.ones(a.size - 1), np.sqrt(w)])
-    return Fit(value, a, scale, weights, f"Student {dof:g}")
+    return NoiseFit(value, a, scale, weights, f"Student {dof:g}")
 
 
-def _proportional(share: float, residual: Residual) -> Fit | None:
+def _proportional(share: float, residual: Residual) -> NoiseFit | None:
     """Fit autoregressive noise with a part proportional to the output."""
     if residual.most == 0:
         return None
@@ -143,10 +143,10 @@ def _proportional(share: float, residual: Residual) -> Fit | None:
     w = 1.0 / np.sqrt(1.0 + (share * level) ** 2)
     w /= np.exp(np.mean(np.log(w)))
     value, a, variance = residual.autoregressive(residual.left * w)
-    return Fit(value - residual.price, a, variance, w, f"proportional {share:g}")
+    return NoiseFit(value - residual.price, a, variance, w, f"proportional {share:g}")
 
 
-def _rounded(residual: Residual) -> Fit | None:
+def _rounded(residual: Residual) -> NoiseFit | None:
     """Fit white normal noise, then rounded to whole steps.
 
     The likelihood is that of the rounding intervals (Sheppard).
@@ -159,11 +159,11 @@ def _rounded(residual: Residual) -> Fit | None:
         p = ndtr((r + step / 2) / s) - ndtr((r - step / 2) / s)
         best = max(best, float(np.sum(np.log(np.maximum(p, 1e-30)))) - r.size * float(np.log(step)))
     value = best - residual.price
-    return Fit(value, np.ones(1), float(np.mean(r**2)) or 1.0, np.ones(r.size), "rounded")
+    return NoiseFit(value, np.ones(1), float(np.mean(r**2)) or 1.0, np.ones(r.size), "rounded")
 
 
 #: Noise models: each fits a residual, or returns None if it does not apply.
-MODELS: tuple[Callable[[Residual], Fit | None], ...] = (
+MODELS: tuple[Callable[[Residual], NoiseFit | None], ...] = (
     _autoregressive,
     *(partial(_heavy_tailed, dof) for dof in (2.5, 4.0, 8.0)),
     *(partial(_proportional, share) for share in (0.5, 1.0, 2.0, 4.0, 8.0)),

@@ -16,7 +16,7 @@ from .formula import FADED, FormulaLaw, InputLaw, OutputLaw
 from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, delays, positive, register
 
 
-class _Gain(AbsorbedLaw):
+class _ChannelGain(AbsorbedLaw):
     """Gain of a channel."""
 
     coefficients = (Coefficient("gain", "1", explanation="relative change of the gain"),)
@@ -84,7 +84,7 @@ class _Lag(AbsorbedLaw):
 
 
 @register
-class InputGain(_Gain):
+class InputGain(_ChannelGain):
     """Actuator that acts more strongly."""
 
     where = frozenset(["input"])
@@ -301,7 +301,7 @@ _SMALL = 1e-4  # of a phase, and of a window in samples: below it, series
 
 
 @register
-class OutputGain(_Gain):
+class OutputGain(_ChannelGain):
     """Sensor that reads larger."""
 
     where = frozenset(["output"])

@@ -18,7 +18,7 @@ from ..engine.simulation import simulate
 from ..exceptions import DivergenceError, ModelError, unheard
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
-from .plants import Plant, hidden_outputs, noisy, record_of
+from .plants import ExercisePlant, hidden_outputs, noisy, record_of
 
 #: Share of the outputs that the model misses, and the noise of the sensors.
 LEVELS = {1: (0.30, 0.01), 2: (0.15, 0.02), 3: (0.08, 0.03)}
@@ -63,13 +63,13 @@ class _Offer:
 
 
 def hide(
-    plant: Plant, model: PhysicalModel, candidates: Sequence[Effect], level: int, seed: Sequence[int]
+    plant: ExercisePlant, model: PhysicalModel, candidates: Sequence[Effect], level: int, seed: Sequence[int]
 ) -> Hidden:
     """Hide one of the candidates in a record of the plant.
 
     Parameters
     ----------
-    plant : Plant
+    plant : ExercisePlant
         How it is excited.
     model : PhysicalModel
         Its linear model.

@@ -26,7 +26,7 @@ _SUBSTEPS = 16
 
 
 @dataclass(frozen=True, slots=True)
-class Plant:
+class ExercisePlant:
     """A linear model, how it is excited, and what it may lack.
 
     Attributes
@@ -152,8 +152,8 @@ def _frame() -> PhysicalModel:
 _DAMPERS = ("damping", "quadratic_damping", "coulomb_friction")
 _INPUT = ("input_gain", "input_deadzone", "input_delay")
 
-PLANTS: Mapping[str, Plant] = {
-    "rc_circuit": Plant(
+PLANTS: Mapping[str, ExercisePlant] = {
+    "rc_circuit": ExercisePlant(
         _rc_circuit,
         {
             "resistor": ("damping", "coulomb_friction", "cubic_damping"),
@@ -162,9 +162,9 @@ PLANTS: Mapping[str, Plant] = {
         },
         1e-4, 5.0, hold=5,
     ),
-    "motor": Plant(_motor, {"shaft": (*_DAMPERS, "mass"), "voltage": _INPUT}, 0.01, 6.0, hold=15),
-    "servo": Plant(_servo, {"shaft": _DAMPERS, "voltage": _INPUT}, 0.01, 6.0, hold=12),
-    "thermal": Plant(
+    "motor": ExercisePlant(_motor, {"shaft": (*_DAMPERS, "mass"), "voltage": _INPUT}, 0.01, 6.0, hold=15),
+    "servo": ExercisePlant(_servo, {"shaft": _DAMPERS, "voltage": _INPUT}, 0.01, 6.0, hold=12),
+    "thermal": ExercisePlant(
         _thermal,
         {
             "heater-ambient": ("damping", "quadratic_damping", "cubic_damping"),
@@ -174,7 +174,7 @@ PLANTS: Mapping[str, Plant] = {
         },
         2.0, 1.0, hold=25, mean=3.0,
     ),
-    "car": Plant(
+    "car": ExercisePlant(
         _car,
         {
             "v": ("damping", "quadratic_damping", "cubic_damping"),
@@ -182,7 +182,7 @@ PLANTS: Mapping[str, Plant] = {
         },
         0.1, 900.0, hold=20, mean=960.0,
     ),
-    "pendulum": Plant(
+    "pendulum": ExercisePlant(
         _pendulum,
         {
             "pivot": ("stiffness", "cubic_stiffness", "bilinear_stiffness", *_DAMPERS),
@@ -190,12 +190,12 @@ PLANTS: Mapping[str, Plant] = {
         },
         0.02, 1.5, hold=10,
     ),
-    "crane": Plant(
+    "crane": ExercisePlant(
         _crane,
         {place: ("stiffness", "cubic_stiffness", *_DAMPERS) for place in ("rail", "hinge")},
         0.02, 15.0, hold=8,
     ),
-    "frame": Plant(
+    "frame": ExercisePlant(
         _frame,
         {
             f"link{i}": ("stiffness", "damping", "cubic_stiffness", "bilinear_stiffness", "coulomb_friction")

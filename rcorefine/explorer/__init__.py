@@ -3,6 +3,6 @@
 It starts from a model and a record.
 """
 
-from .exploration import Exploration, Step
+from .exploration import Exploration, ExplorationStep
 
-__all__ = ["Exploration", "Step"]
+__all__ = ["Exploration", "ExplorationStep"]

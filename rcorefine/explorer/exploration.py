@@ -191,7 +191,7 @@ def _at_channel(row: Failure | None) -> bool:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class ExplorationStep:
     """One step of an exploration.
 
     Attributes
@@ -273,11 +273,11 @@ class Exploration:
                 self.model, [data], free=(), tolerance=0.0, offset=True, noise=None, horizon=horizon
             )
         self._steps = [self._step("start", "initial model", (), base)]
-        self._compared: tuple[Step, Comparison] | None = None
+        self._compared: tuple[ExplorationStep, Comparison] | None = None
 
     # ------------------------------------------------------------------ where it stands
     @property
-    def steps(self) -> tuple[Step, ...]:
+    def steps(self) -> tuple[ExplorationStep, ...]:
         """All steps that count, the initial model first."""
         return tuple(self._steps)
 
@@ -345,7 +345,7 @@ class Exploration:
         place = None if row is None else row.values.get("place")
         return None if _at_channel(row) else residual_force(self.comparison, 0, place)
 
-    def candidates(self, row: Failure | None = None, force: ResidualForce | None = None) -> list[Candidate]:
+    def candidates(self, row: Failure | None = None, force: ResidualForce | None = None) -> list[Addition]:
         """Return the effects that could explain a row of the failure map.
 
         Effects that the model already holds are left out. By default, all others are returned. With `force`,
@@ -360,14 +360,14 @@ class Exploration:
         found = [laid_over(one, self.physical, self.motion, self.record.inputs, force) for one in library]
         best = max((one.share for one in found if one.share > 0), default=1.0)
 
-        def rank(one: Candidate) -> tuple[int, int]:  # of those that explain about the same, the simplest
+        def rank(one: Addition) -> tuple[int, int]:  # of those that explain about the same, the simplest
             share = -1 if one.curve is None else round(_STEPS * max(one.share, 0.0) / best)
             return -share, len(one.coefficients)
 
         return sorted(found, key=rank)
 
     # ------------------------------------------------------------------ what can be done
-    def add(self, effect: Effect, **values: float) -> Step:
+    def add(self, effect: Effect, **values: float) -> ExplorationStep:
         """Add an effect with coefficients set by hand.
 
         Coefficients that are left out get the value at which the effect is absent, or a small one.
@@ -385,7 +385,7 @@ class Exploration:
             model = settled(self._changed(effect, values), self._pieces)
             return self._enter(self._step("add", f"add {effect.label}", (*self.effects, effect), model))
 
-    def move(self, effect: Effect, **values: float) -> Step:
+    def move(self, effect: Effect, **values: float) -> ExplorationStep:
         """Set coefficients of an added effect by hand.
 
         The offset and the initial state are estimated again.
@@ -411,7 +411,7 @@ class Exploration:
             runs = quickly_settled(self._changed(effect, values), self._pieces)
         return runs, 100.0 - float(np.nanmean(fit_of([self.record], [runs - self.record.outputs])[0]))
 
-    def fit(self) -> Step:
+    def fit(self) -> ExplorationStep:
         """Estimate all added effects together.
 
         The result is that of ``refine(model, data, effects)``.
@@ -419,7 +419,7 @@ class Exploration:
         found = refine(self.model, self.data, self.effects, horizon=self.horizon)
         return self._enter(self._step("fit", "fit", self.effects, found))
 
-    def undo(self) -> Step:
+    def undo(self) -> ExplorationStep:
         """Undo the last step and return the one before.
 
         The initial model always remains.
@@ -493,10 +493,12 @@ class Exploration:
             first = laid_over(effect, self.physical, self.motion, self.record.inputs, None).coefficients
         return with_held(self.refinement, self.motion, effect, first | given)
 
-    def _step(self, action: str, name: str, effects: tuple[Effect, ...], model: Refinement) -> Step:
-        return Step(action, name, effects, model, free_run(model, self._pieces), model.fit)
+    def _step(
+        self, action: str, name: str, effects: tuple[Effect, ...], model: Refinement
+    ) -> ExplorationStep:
+        return ExplorationStep(action, name, effects, model, free_run(model, self._pieces), model.fit)
 
-    def _enter(self, step: Step) -> Step:
+    def _enter(self, step: ExplorationStep) -> ExplorationStep:
         self._steps.append(step)
         return step
 
@@ -505,7 +507,7 @@ _EDGE = 50  # part of a record at each end where a force is only half known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
+class Addition:
     """An effect that could be added.
 
     Attributes
@@ -528,7 +530,7 @@ class Candidate:
 
 def laid_over(
     effect: Effect, physical: PhysicalModel, motion: Motion, inputs: Array, force: ResidualForce | None
-) -> Candidate:
+) -> Addition:
     """Fit the shape and the coefficients of an effect to a force.
 
     Parameters
@@ -553,7 +555,7 @@ def laid_over(
         {q.name: float(value) for q, value in zip(structure.parameters, theta, strict=True)}
         for theta in shape_starts(structure, structure.start(), motion)
     ]
-    best = Candidate(effect, _ordered(effect, dict(starts[0])))
+    best = Addition(effect, _ordered(effect, dict(starts[0])))
     if force is None or force.place != effect.place:
         return best
     levels = [q for q in structure.parameters if q.name not in effect.spec.shaping]
@@ -574,7 +576,7 @@ def laid_over(
         left = float(np.sum((wanted - about @ values) ** 2))
         share = 1.0 - left / max(float(np.sum(wanted**2)), 1e-300)
         if not share <= best.share:  # NaN is the first
-            best = Candidate(effect, named, share, F @ values)
+            best = Addition(effect, named, share, F @ values)
     return best
 
 

@@ -19,7 +19,7 @@ from ..exceptions import DataError
 from ..inference.refinement import Refinement
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
-from .exploration import Candidate, Exploration, Step
+from .exploration import Addition, Exploration, ExplorationStep
 from .look import PICTURE
 
 _RECORD, _INITIAL, _PRESENT = "#8a8f96", "#1f4e9c", "#b5400a"
@@ -201,7 +201,7 @@ _BODE_WORDS = {"measured": "measured, ± 2 std", "initial": "initial model", "pr
 
 
 def _response(
-    record: Measurement, step: Step, measured: FrequencyResponse, i: int, j: int
+    record: Measurement, step: ExplorationStep, measured: FrequencyResponse, i: int, j: int
 ) -> tuple[Array, Any]:
     """Return the frequency response of a model, and its frequencies.
 
@@ -236,7 +236,7 @@ class ForcePicture:
             for source, color in zip(self.laws, _LAWS, strict=True)
         ]
 
-    def show(self, force: ResidualForce, unit: str, found: Sequence[Candidate]) -> None:
+    def show(self, force: ResidualForce, unit: str, found: Sequence[Addition]) -> None:
         """Draw the force over the signal that the best law goes by."""
         drawn = [one for one in found if one.curve is not None][: len(_LAWS)]
         over_d = bool(np.ptp(force.position)) and (
@@ -285,7 +285,7 @@ class Staircase:
         )  # fmt: skip
         self.figure.xaxis.ticker = [0]
 
-    def show(self, steps: Sequence[Step]) -> None:
+    def show(self, steps: Sequence[ExplorationStep]) -> None:
         """Draw the steps."""
         errors = [step.error for step in steps]
         self.figure.xaxis.ticker = list(range(len(steps)))

@@ -28,7 +28,7 @@ from ..effects.effect import Effect
 from ..exceptions import RCOError, unheard
 from ..views.failure_map import ROLES
 from ..views.tables import html_table, number
-from .exploration import Candidate, Exploration, Step
+from .exploration import Addition, Exploration, ExplorationStep
 from .figures import BodePicture, ForcePicture, Staircase, TimePicture
 from .look import GRID, TEXT, WIDGET
 
@@ -215,7 +215,7 @@ class ExplorerPage:
         self._work = Background()
         self._row: Failure | None = None
         self._map: FailureMap | None = None
-        self._searched: Step | None = None
+        self._searched: ExplorationStep | None = None
         self._moving: tuple[Effect, str, float] | None = None
         self._make()
         self._show_step()
@@ -364,7 +364,7 @@ class ExplorerPage:
             return
         move = partial(self.explored.move, effect, **{name: value})
 
-        def then(_: Step) -> None:
+        def then(_: ExplorationStep) -> None:
             made.start, made.end = self.explored.reach(effect, name)
             self._stepped(rebuild=False)
 
@@ -374,10 +374,10 @@ class ExplorerPage:
         self._show_step(rebuild)
         self._look_at(self._row)
 
-    def _change(self, words: str, work: Callable[[], Step]) -> None:
+    def _change(self, words: str, work: Callable[[], ExplorationStep]) -> None:
         self._work.later(self._work.doing, words, work, lambda _: self._stepped())
 
-    def _add(self, one: Candidate) -> None:
+    def _add(self, one: Addition) -> None:
         work = partial(self.explored.add, one.effect, **one.coefficients)
         self._change(f"adding {one.effect.label}", work)
 
@@ -416,7 +416,7 @@ class ExplorerPage:
         if self._map is not None:
             self._show_rows()
 
-        def look() -> tuple[Any, Sequence[Candidate], Sequence[Candidate]]:
+        def look() -> tuple[Any, Sequence[Addition], Sequence[Addition]]:
             force = self.explored.force(row)
             return force, self.explored.candidates(row, force), self.explored.candidates()
 
@@ -424,7 +424,7 @@ class ExplorerPage:
             self._work.doing, "fitting effects to the missing force", look, self._show_candidates
         )
 
-    def _show_candidates(self, found: tuple[Any, Sequence[Candidate], Sequence[Candidate]]) -> None:
+    def _show_candidates(self, found: tuple[Any, Sequence[Addition], Sequence[Addition]]) -> None:
         force, here, every = found
         if force is not None:
             self._force.show(force, self.explored.physical.port(force.place).force_unit, here)

@@ -17,7 +17,7 @@ from ..exceptions import DataError
 from .bode import bode
 from .failure_map import plot_map
 from .figures import BAND, MEASURED, Frame, busiest_stretch, draws, plain, style, trace, unit_text
-from .tables import Table, number, tabulates
+from .tables import TextTable, number, tabulates
 
 
 def plot_decay(result: Comparison, frame: Frame) -> ct.ControlPlot:
@@ -69,7 +69,7 @@ _START = {
 
 
 @tabulates(Comparison)
-def comparison_table(result: Comparison) -> Table:
+def comparison_table(result: Comparison) -> TextTable:
     """One row per model and output."""
     data = result.data
     headers = ["model", "output", "unit", "fit [%]", "RMSE", "bias", "largest", "at [s]"]
@@ -99,7 +99,7 @@ def comparison_table(result: Comparison) -> Table:
     notes += [f"{note[0].upper()}{note[1:].removesuffix('.')}." for note in said]
     if not any(row[2] for row in rows):  # no units
         headers, rows = headers[:2] + headers[3:], [row[:2] + row[3:] for row in rows]
-    return Table(headers, rows, title, notes, left=len(headers) - 5)
+    return TextTable(headers, rows, title, notes, left=len(headers) - 5)
 
 
 def _how(result: Comparison) -> str:

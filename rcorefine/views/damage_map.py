@@ -17,7 +17,7 @@ from ..localization.damage_map import DamageMap, DamageRow
 from ..results import chance, shows, with_error
 from ..systems.linear import Array
 from .figures import Frame, draws, plain, unit_text, write_at
-from .tables import WIDTH, Table, number
+from .tables import WIDTH, TextTable, number
 
 _CHANGED, _UNCHANGED = "0.25", "0.85"
 
@@ -28,7 +28,7 @@ def _value(row: DamageRow, figure: float, share: float) -> str:
     return f"{share:.3g}" if abs(share) < 1e-3 else f"{share:.3f}" if abs(share) < 10 else f"{share:.2f}"
 
 
-def _tables(result: DamageMap) -> list[Table]:
+def _tables(result: DamageMap) -> list[TextTable]:
     """The change of each place, and the scenarios if there are any."""
     changes = []
     for row in result.rows:
@@ -39,7 +39,7 @@ def _tables(result: DamageMap) -> list[Table]:
         changes.append([row.kind, row.place, nominal, row.unit, *size, limit, chance(row.p_value), verdict])
     title = f"Damage in {result.name!r}: {result.n_samples} samples, {number(result.duration)} s"
     headers = ["what", "place", "model", "unit", "change", "95 % +/-", "limit", "p", ""]
-    tables = [Table(headers, changes, title, _sentences(result), left=2)]
+    tables = [TextTable(headers, changes, title, _sentences(result), left=2)]
     if not result.ranking:
         return tables
     scenarios = []
@@ -51,7 +51,7 @@ def _tables(result: DamageMap) -> list[Table]:
         figures = [f"{min(one.fit):.4g}", f"{one.bic - result.ranking[0].bic:.1f}", f"{one.probability:.3g}"]
         scenarios.append([one.name, ", ".join(parts) or "-", *figures])
     headers = ["scenario", "changes [%]", "fit [%]", "BIC - best", "probability"]
-    return [*tables, Table(headers, scenarios, "Scenarios, the most probable first", left=2)]
+    return [*tables, TextTable(headers, scenarios, "Scenarios, the most probable first", left=2)]
 
 
 def _sentences(result: DamageMap) -> list[str]:

@@ -24,7 +24,7 @@ from ..systems.linear import Array
 from .bode import BodeUnits, broken_phase
 from .figures import BAND, MEASURED, Frame, draws, plain, style, trace, unit_text, write_at
 from .models import estimates_table
-from .tables import Table, Told, cells, number, tabulates, tells
+from .tables import TextTable, Told, cells, number, tabulates, tells
 
 _SHOWN = 8
 
@@ -171,7 +171,7 @@ def diagnosis_told(found: Diagnosis) -> Told:
         rows.append(["none of these", "", "", "", "", f"{found.none_of_these:.3f}"])
     if found.open_law is not None:
         rows.append([found.open_law.effect.label, "", "", f"{found.open_law.fit_after:.2f}", ""])
-    return above, Table(headers, rows, title, [*above[1:], following]), [following]
+    return above, TextTable(headers, rows, title, [*above[1:], following]), [following]
 
 
 @draws(Diagnosis)
@@ -291,7 +291,7 @@ def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[A
 
 
 @tabulates(HiddenForce)
-def hidden_force_table(found: HiddenForce) -> Table:
+def hidden_force_table(found: HiddenForce) -> TextTable:
     """One row per signal."""
     signals = {
         "displacement d": (found.d, found.position_unit),
@@ -307,7 +307,7 @@ def hidden_force_table(found: HiddenForce) -> Table:
         "distinguished from the offset and is not estimated."
     )
     title = f"Hidden force at {found.place}, {found.force.size} samples"
-    return Table(["signal", "rms", "least", "largest", "unit"], rows, title, notes=[note])
+    return TextTable(["signal", "rms", "least", "largest", "unit"], rows, title, notes=[note])
 
 
 @draws(HiddenForce)
@@ -340,7 +340,7 @@ def advice_told(advice: ExperimentAdvice) -> Told:
         rows.append([name, f"{option.cost:.3g}", *(["-"] * 3 if option.failed else figures)])
     head = "Experiment: " + (advice.chosen.name if advice.chosen else "nothing to separate")
     message, *rest = advice.sentences()
-    return [head, message], Table(headers, rows, head, advice.sentences()), rest
+    return [head, message], TextTable(headers, rows, head, advice.sentences()), rest
 
 
 @draws(ExperimentAdvice)
@@ -397,7 +397,7 @@ def confirmation_told(found: Confirmation) -> Told:
     message, *rest = found.sentences()
     return (
         [f"Further records: {found.verdict.upper()}", message],
-        Table(headers, rows, f"Further records: {found.verdict}", found.sentences(), left=2),
+        TextTable(headers, rows, f"Further records: {found.verdict}", found.sentences(), left=2),
         rest,
     )
 

@@ -15,7 +15,7 @@ from ..exceptions import DataError
 from ..results import chance, counted
 from .bode import BodeUnits
 from .figures import BAND, MEASURED, Frame, log_labels, plain, style, trace, unit_text
-from .tables import Table, cells, clip, tabulates
+from .tables import TextTable, cells, clip, tabulates
 
 _HEADERS = ["", "", "where", "measure", "share", "p-value"]
 #: Signs of what a row is beside the others.
@@ -23,7 +23,7 @@ ROLES = {"first": "1", "besides": "+", "instead": "="}
 
 
 @tabulates(FailureMap)
-def failure_table(found: FailureMap) -> Table:
+def failure_table(found: FailureMap) -> TextTable:
     """Return a table with one row per failure.
 
     If there is no failure, the title and the notes say so.
@@ -49,7 +49,7 @@ def failure_table(found: FailureMap) -> Table:
     else:
         title = f"Failures of {found.name!r} were not searched"
     notes += [f"{note}." for note in found.notes]
-    return Table(_HEADERS, rows, title, notes, left=4)
+    return TextTable(_HEADERS, rows, title, notes, left=4)
 
 
 _ROWS = (1.6, 1.3, 1.5, 1.5)

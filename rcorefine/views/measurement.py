@@ -14,7 +14,7 @@ from ..diagnosis.check_rows import Check, CheckRow
 from ..results import frequency_text
 from .bode import BodeAxes, BodeUnits
 from .figures import MEASURED, Frame, draws, trace, unit_text
-from .tables import Table, Told, number, tabulates, tells
+from .tables import TextTable, Told, number, tabulates, tells
 
 _HOLD_TEXT = {
     "zoh": "constant between samples",
@@ -24,7 +24,7 @@ _HOLD_TEXT = {
 
 
 @tabulates(Measurement)
-def measurement_table(data: Measurement) -> Table:
+def measurement_table(data: Measurement) -> TextTable:
     """One row per signal of a record."""
     headers = ["signal", "unit", "role", "min", "mean", "max", "std"]
     rows = []
@@ -44,7 +44,7 @@ def measurement_table(data: Measurement) -> Table:
     if still:
         notes.append(f"Constant over the record, so without visible effect: {', '.join(still)}.")
     notes += [f"{note}." for note in data.notes]
-    return Table(headers, rows, title, notes, left=3)
+    return TextTable(headers, rows, title, notes, left=3)
 
 
 @draws(Measurement)
@@ -73,7 +73,7 @@ def plot_measurement(data: Measurement, frame: Frame) -> ct.ControlPlot:
 
 
 @tabulates(FrequencyResponse)
-def frequency_response_table(measured: FrequencyResponse) -> Table:
+def frequency_response_table(measured: FrequencyResponse) -> TextTable:
     """One row per output and input of a measured frequency response."""
     units = BodeUnits.from_defaults()
     headers = ["output", "input", "peak |G|", f"at [{units.frequency}]", "coherence > 0.9", "median std/|G|"]
@@ -102,7 +102,7 @@ def frequency_response_table(measured: FrequencyResponse) -> Table:
             unit = measured.input_units[0]
             peak = number(low) if low == high else f"{number(low)} ... {number(high)}"
             said += f" Sines of peak {f'{peak} {unit}'.strip()} at the input."
-        return Table(headers, rows, title, [said], left=2)
+        return TextTable(headers, rows, title, [said], left=2)
     notes = [
         f"H1 from {measured.n_averages:.1f} effective segments of {measured.segment_length} samples, "
         f"lines {frequency_text(measured.resolution)} apart (narrower peaks are flattened).",
@@ -111,7 +111,7 @@ def frequency_response_table(measured: FrequencyResponse) -> Table:
     ]
     if measured.n_omitted:
         notes.append(f"{measured.n_omitted} frequencies are left out: an input has no power there.")
-    return Table(headers, rows, title, notes, left=2)
+    return TextTable(headers, rows, title, notes, left=2)
 
 
 @draws(FrequencyResponse)
@@ -141,10 +141,10 @@ def check_told(found: Check) -> Told:
     looks = [f"{row.status.upper()}: {row.sentence}" for row in found.looks]
     head = looks or ["No problem found: the record and the model can be compared."]
     quiet = [row.sentence for row in found.rows if row.what == "information" and row not in found.looks]
-    return head, Table(_HEADERS, _rows(found.rows), "Check", [*head, *quiet], 4), quiet
+    return head, TextTable(_HEADERS, _rows(found.rows), "Check", [*head, *quiet], 4), quiet
 
 
-def odd(rows: Sequence[CheckRow]) -> list[Table]:
+def odd(rows: Sequence[CheckRow]) -> list[TextTable]:
     """A table of what asks for attention, none where nothing does.
 
     Parameters
@@ -154,10 +154,10 @@ def odd(rows: Sequence[CheckRow]) -> list[Table]:
 
     Returns
     -------
-    list of Table
+    list of TextTable
     """
     title, notes = "Checks that need attention", [row.sentence for row in rows]
-    return [Table(_HEADERS, _rows(rows), title, notes, 4)] if rows else []
+    return [TextTable(_HEADERS, _rows(rows), title, notes, 4)] if rows else []
 
 
 def _rows(rows: Sequence[CheckRow]) -> list[list[str]]:

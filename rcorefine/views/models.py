@@ -22,7 +22,7 @@ from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
 from .bode import bode, bode_grid, level_bode
 from .figures import BAND, Frame, draws, plain, style, unit_text, write_at
-from .tables import WIDTH, Table, Told, cells, html_table, root_mean_square, tells
+from .tables import WIDTH, TextTable, Told, cells, html_table, root_mean_square, tells
 
 _SHOWN = 12  # parameters in the text
 
@@ -111,10 +111,10 @@ def refinement_told(found: Refinement) -> Told:
     return [f"Refinement of {name!r}"], estimates_table(found.parameters, f"Refinement of {name}", said), said
 
 
-def estimates_table(parameters: Sequence[EstimatedParameter], title: str, notes: Sequence[str]) -> Table:
+def estimates_table(parameters: Sequence[EstimatedParameter], title: str, notes: Sequence[str]) -> TextTable:
     """Estimated numbers, initial and fitted."""
     headers = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
-    return Table(headers, [row.cells for row in parameters], title, notes)
+    return TextTable(headers, [row.cells for row in parameters], title, notes)
 
 
 @draws(Refinement, "bode_plot")
@@ -234,7 +234,7 @@ def improvement_told(found: Improvement) -> Told:
     said = found.sentences()
     above = [f"Improvement in {counted(len(found.steps) - 1, 'step')}: {found.verdict.upper()}", *odd]
     following = f"Next: {next_step(found)}"
-    table = Table(headers, rows, f"Improvement: {found.verdict}", [*odd, *said, following])
+    table = TextTable(headers, rows, f"Improvement: {found.verdict}", [*odd, *said, following])
     return above, table, [*said, following]
 
 

@@ -38,7 +38,7 @@ from ..systems.linear import Array
 from ..version import __version__
 from ..writing import replacing
 from .figures import Frame, plain
-from .tables import Table, cells, html_table, number
+from .tables import TextTable, cells, html_table, number
 
 #: Pictures are drawn dark on white. In the dark they are inverted and their hues turned back, so that
 #: one picture serves both and curves keep their color.
@@ -156,7 +156,7 @@ def links(rows: Iterable[tuple[str, str]]) -> str:
     return f"<ul>{''.join(items)}</ul>"
 
 
-def boxed(*tables: Table) -> list[str]:
+def boxed(*tables: TextTable) -> list[str]:
     """Tables that have rows, in boxes that scroll in narrow windows."""
     return [
         f'<div class="scroll" role="region" tabindex="0" aria-label="{escape(table.title or "Table")}">'
@@ -589,7 +589,7 @@ def version_facts() -> list[tuple[str, str]]:
     return rows
 
 
-def parameter_table(refinement: Refinement, title: str) -> Table:
+def parameter_table(refinement: Refinement, title: str) -> TextTable:
     """Estimates of a refinement, with intervals."""
     columns = "name kind place role initial:.5g value:.6g std:.2g interval[0]:.5g interval[1]:.5g unit"
     rows = []
@@ -597,7 +597,9 @@ def parameter_table(refinement: Refinement, title: str) -> Table:
         *head, low, high, unit = cells(row, columns)
         rows.append([*head, f"{low} ... {high}", unit])
     headers = ["parameter", "effect", "place", "role", "initial", "value", "std", "95 % interval", "unit"]
-    return Table(headers, rows, title, ["std: standard deviation of the estimate over repeated records."], 4)
+    return TextTable(
+        headers, rows, title, ["std: standard deviation of the estimate over repeated records."], 4
+    )
 
 
 def estimates(refinement: Refinement) -> list[EstimatedParameter]:

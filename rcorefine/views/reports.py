@@ -48,7 +48,7 @@ from .page import (
     reports,
 )
 from .responses import responses_table
-from .tables import Table, cells, number, root_mean_square
+from .tables import TextTable, cells, number, root_mean_square
 
 #: What each picture of a comparison shows, and what it means; the one that answers first.
 _WORDS = {
@@ -123,7 +123,7 @@ def _comparison_tables(result: Comparison) -> list[str]:
             for r in found
         ]
         if rows:
-            parts += boxed(Table(headers, rows, f"Where {found.name} fails", [*legend, *notes], left=4))
+            parts += boxed(TextTable(headers, rows, f"Where {found.name} fails", [*legend, *notes], left=4))
         else:
             nowhere = f"Where {found.name} fails: no significant failure in this record."
             parts.append(paragraphs([nowhere, *notes]))
@@ -222,7 +222,7 @@ def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -
 def _diagnosis_tables(found: Diagnosis) -> list[str]:
     tests = (("model as given", found.tests), ("with the best effect", found.winner_tests))
     headers = ["effect", "coefficient", "value", "std", "fit before [%]", "fit after [%]", "p-value"]
-    ranking = Table(
+    ranking = TextTable(
         [*headers, "probability"],
         _ranking_rows(found),
         title="Candidates that were refitted",
@@ -233,13 +233,13 @@ def _diagnosis_tables(found: Diagnosis) -> list[str]:
         ],
         left=2,
     )
-    detectable = Table(
+    detectable = TextTable(
         ["effect", "smallest coefficient", "unit"],
         [cells(d, "effect.label smallest:.3g unit") for d in found.detectable],
         title="Smallest effects that the record would show",
         notes=["The smallest coefficient that would have been detected with 95 % probability."],
     )
-    tested = Table(
+    tested = TextTable(
         ["model", "test", "F", "degrees of freedom", "p-value"],
         [
             [model, *cells(t, "name statistic:.4g dof"), chance(t.p_value)]
@@ -316,7 +316,7 @@ def report_improvement(improvement: Improvement, *, data: Any, title: str | None
         errors_of = (step.train_rmse, step.choice_rmse, step.validation_rmse)
         rivals = ", ".join(effect.label for effect in step.rivals)
         rows.append([str(i), step.name, values, *(f"{root_mean_square(e):.4g}" for e in errors_of), rivals])
-    steps = Table(
+    steps = TextTable(
         ["step", "what", "coefficients", "fitted", "selection", "held out", "not distinguishable"],
         rows,
         title="Root mean square error after each step",

@@ -14,7 +14,7 @@ from ..engine.amplitude_response import AmplitudeResponse
 from ..results import frequency_text
 from .bode import BodeAxes, bode
 from .figures import Frame, draws, style
-from .tables import Table, number, tabulates
+from .tables import TextTable, number, tabulates
 
 _NOTES = (
     "fit = 100 (1 - |G - Gh| / |G - mean(G)|) of the complex responses: 100 % is perfect.",
@@ -26,22 +26,22 @@ _GRAYS = ("0.15", "0.4", "0.6", "0.75")
 
 
 @tabulates(FrequencyComparison)
-def responses_table(result: FrequencyComparison) -> Table:
+def responses_table(result: FrequencyComparison) -> TextTable:
     """One row per model, output and input."""
     several = "s" if len(result.names) > 1 else ""
     title = (
         f"{len(result.names)} model{several} on response {result.measured.name!r}: {_band(result.measured)}"
     )
-    return Table(list(_HEADERS), _rows(result), title, list(_NOTES), left=3)
+    return TextTable(list(_HEADERS), _rows(result), title, list(_NOTES), left=3)
 
 
 @tabulates(LevelComparison)
-def levels_table(result: LevelComparison) -> Table:
+def levels_table(result: LevelComparison) -> TextTable:
     """One row per amplitude, model, output and input."""
     first = result.levels[0]
     title = f"{len(first.names)} model(s) on {len(result.levels)} responses: {_band(first.measured)}"
     rows = [[level_name(level.measured), *row] for level in result.levels for row in _rows(level)]
-    return Table(["response", *_HEADERS], rows, title, list(_NOTES), left=4)
+    return TextTable(["response", *_HEADERS], rows, title, list(_NOTES), left=4)
 
 
 def _band(measured: FrequencyResponse) -> str:
@@ -136,7 +136,7 @@ def _title(found: AmplitudeResponse) -> str:
 
 
 @tabulates(AmplitudeResponse)
-def amplitude_table(found: AmplitudeResponse) -> Table:
+def amplitude_table(found: AmplitudeResponse) -> TextTable:
     """One row per amplitude and output."""
     rows = []
     for level, amplitude in enumerate(found.amplitude):
@@ -148,4 +148,4 @@ def amplitude_table(found: AmplitudeResponse) -> Table:
                 cells = [f"{gain:.4g}", f"{omega:.5g}", f"{most:.2g}"]
             rows.append([f"{amplitude:.4g} {found.input_unit}".strip(), label, *cells])
     headers = ["amplitude", "output", "largest |G|", "at [rad/s]", "distortion [%]"]
-    return Table(headers, rows, _title(found), _LEVEL_NOTES, left=2)
+    return TextTable(headers, rows, _title(found), _LEVEL_NOTES, left=2)

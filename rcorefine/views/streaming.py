@@ -20,14 +20,14 @@ from ..streaming.refiner import RCORefiner
 from ..systems.linear import Array
 from .bode import bode
 from .figures import BAND, Frame, draws, plain, style, trace, unit_text
-from .tables import Table, number, tabulates
+from .tables import TextTable, number, tabulates
 
 _SHOWN = 8  # candidates in the table
 _MOST = 4  # candidates whose probability is drawn
 
 
 @tabulates(Monitor)
-def monitor_table(monitor: Monitor) -> Table:
+def monitor_table(monitor: Monitor) -> TextTable:
     """The candidates of a monitor, the most probable first."""
     n, name = monitor.n_samples, monitor._structure.linear_model.name
     stream = monitor._stream
@@ -71,7 +71,7 @@ def monitor_table(monitor: Monitor) -> Table:
         f"False alarms: at most {monitor.false_alarms:g} in 100 000 healthy samples, one in "
         f"{seconds / size:.3g} {word}."
     )
-    return Table(["candidate", "coefficient", "probability", "gain"], rows, title, notes)
+    return TextTable(["candidate", "coefficient", "probability", "gain"], rows, title, notes)
 
 
 @draws(Monitor)
@@ -136,11 +136,11 @@ def _title(monitor: Monitor, alarms: list[Any]) -> str:
 
 
 @tabulates(RCORefiner)
-def refiner_table(refiner: RCORefiner) -> Table:
+def refiner_table(refiner: RCORefiner) -> TextTable:
     """Settings, or parameters, with what the refiner has learned so far."""
     found = refiner._summary()
     left = 1 if refiner.form == "paper" else 3
-    return Table(found.headers, found.rows, found.title, found.notes, left)
+    return TextTable(found.headers, found.rows, found.title, found.notes, left)
 
 
 @draws(RCORefiner, "bode_plot")

@@ -32,7 +32,7 @@ from .page import (
     version_facts,
     write_page,
 )
-from .tables import Table, Told, cells, number, tabulates, tells
+from .tables import TextTable, Told, cells, number, tabulates, tells
 
 _SHOWN = 12  # rows of the text; the others are counted
 _NAMED = 40  # machines up to which each has its name on the axis
@@ -63,7 +63,7 @@ def survey_told(found: Survey) -> Told:
     title = f"Survey ({found.task}): {said[0]}"
     below = [*more, *said[1:]]
     rows = [_row_cells(row) for row in order[:_SHOWN]]
-    return [title], Table([*_ROWS[:-2], "prob.", "s"], rows, title, below, 4), below
+    return [title], TextTable([*_ROWS[:-2], "prob.", "s"], rows, title, below, 4), below
 
 
 @draws(Survey)
@@ -149,7 +149,7 @@ def _index(found: Survey, files: dict[str, str], title: str | None, code: str | 
         count = f"{len(e.machines)} of {e.n_machines}"
         figures = cells(e, "mean:.5g std:.2g spread:.2g")
         effects.append([*cells(e, "label unit sort"), count, *figures, chance(e.p_value), chance(e.p_alike)])
-    common = Table(
+    common = TextTable(
         ["effect", "unit", "", "machines", "mean", "std", "spread", "p (mean 0)", "p (all equal)"],
         effects,
         title="Effects over the fleet",
@@ -159,7 +159,7 @@ def _index(found: Survey, files: dict[str, str], title: str | None, code: str | 
         left=3,
     )
     failures = [[r.machine, r.record, r.error or ""] for r in found.failed]
-    failed = Table([*_ROWS[:2], "why"], failures, "Failed", (), 3)
+    failed = TextTable([*_ROWS[:2], "why"], failures, "Failed", (), 3)
     sections = {
         "Pictures": pictures([fleet] if found.effects else []),
         "Tables": boxed(common, failed),
@@ -205,8 +205,8 @@ def _machine_tables(rows: Sequence[SurveyRow], mine: Sequence[Any], trends: Sequ
     ]
     changes = [[*cells(t, "label unit n_records slope:.4g std:.2g per"), chance(t.p_value)] for t in trends]
     return boxed(
-        Table(_ROWS, [_row_cells(row) for row in rows], "Records", (), 4),
-        Table(
+        TextTable(_ROWS, [_row_cells(row) for row in rows], "Records", (), 4),
+        TextTable(
             ["effect", "unit", "value", "std", "shrunk", "fleet", "deviation", "p"],
             compared,
             title="Coefficients compared with the fleet",
@@ -216,7 +216,9 @@ def _machine_tables(rows: Sequence[SurveyRow], mine: Sequence[Any], trends: Sequ
             ],
             left=2,
         ),
-        Table(["effect", "unit", "records", "slope", "std", "per", "p"], changes, "Change with time", left=2),
+        TextTable(
+            ["effect", "unit", "records", "slope", "std", "per", "p"], changes, "Change with time", left=2
+        ),
     )
 
 
@@ -253,11 +255,11 @@ def exercise_told(exercise: Exercise) -> Told:
         if exercise.has_answer
         else "hand_in(path, student, kind, place, coefficient) writes your answer.",
     ]
-    return head, Table(["kind", "place", "coefficients"], rows, head[0], notes, 3), notes
+    return head, TextTable(["kind", "place", "coefficients"], rows, head[0], notes, 3), notes
 
 
 @tabulates(Grades)
-def grades_table(found: Grades) -> Table:
+def grades_table(found: Grades) -> TextTable:
     """A row for each answer; remarks where there are any."""
     headers = "student plant level answer effect coefficient points remark".split()
     shown = slice(None if any(row.remark for row in found.rows) else -1)
@@ -271,7 +273,7 @@ def grades_table(found: Grades) -> Table:
         for row in found.rows
     ]
     note = "Points: 0.6 for the effect, 0.3 for its place alone, 0.4 for the coefficient."
-    return Table(headers[shown], [row[shown] for row in rows], "Answers", [note], 6)
+    return TextTable(headers[shown], [row[shown] for row in rows], "Answers", [note], 6)
 
 
 def _right(rows: Sequence[Any]) -> int:
@@ -295,6 +297,6 @@ def report_grades(found: Grades, *, title: str | None, code: str | None) -> Page
         rows = [row for row in graded if row.plant == plant]
         mean = number(sum(row.points for row in rows) / len(rows), 2)
         by_plant.append([plant, str(len(rows)), str(_right(rows)), mean])
-    plants = Table(["plant", "answers", "right", "mean points"], by_plant, "By plant")
+    plants = TextTable(["plant", "answers", "right", "mean points"], by_plant, "By plant")
     tables = {"Tables": boxed(grades_table(found), plants)}
     return Page(title or "Hidden effects: results of the class", about, answer, not left, tables)

@@ -192,7 +192,7 @@ def html_table(
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class TextTable:
     """Table of text cells, with notes on their meaning below.
 
     The fields are the arguments of `text_table`.
@@ -219,7 +219,7 @@ class Table:
 
 
 def tabulates(kind: type) -> Callable[[_Cells], _Cells]:
-    """Enter the `Table` that results of this class are, as text and as HTML."""
+    """Enter the `TextTable` that results of this class are, as text and as HTML."""
 
     def enter(table: _Cells) -> _Cells:
         shows(kind, "text")(lambda result: table(result).text())
@@ -230,13 +230,13 @@ def tabulates(kind: type) -> Callable[[_Cells], _Cells]:
 
 
 #: Sentences, a table, sentences.
-Told = tuple[Sequence[str], Table, Sequence[str]]
+Told = tuple[Sequence[str], TextTable, Sequence[str]]
 
 
 def tells(kind: type) -> Callable[[_Cells], _Cells]:
     """Register the text of results of a class.
 
-    The text has sentences above, a `Table`, and sentences below.
+    The text has sentences above, a `TextTable`, and sentences below.
     In HTML it is the table, which has a title and notes for that.
     """
 

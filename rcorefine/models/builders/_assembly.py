@@ -63,7 +63,7 @@ class Units(dict[str, str]):
         return cls({**given, **{key: combine_units(rule, given) for key, rule in rules.items()}})
 
 
-class Drive(NamedTuple):
+class InputMap(NamedTuple):
     """Inputs: columns of F, 1 for a base acceleration, and units by label."""
 
     force: Array
@@ -71,7 +71,7 @@ class Drive(NamedTuple):
     inputs: Mapping[str, str]
 
 
-class Options(NamedTuple):
+class BuilderArguments(NamedTuple):
     """Arguments of both builders beside the matrices, as they were given.
 
     `forces` is the name of the argument that holds `force`.
@@ -89,7 +89,7 @@ def assembled(
     structure: tuple[Array, Array, Array],
     places: Sequence[Place],
     parameters: Sequence[NominalParameter],
-    options: Options,
+    options: BuilderArguments,
 ) -> PhysicalModel:
     """Return the physical model of M, C and K with these places."""
     drive = input_map(options, structure[0])
@@ -100,11 +100,11 @@ def assembled(
 
 def second_order(
     structure: tuple[Array, Array, Array],
-    drive: Drive,
+    drive: InputMap,
     places: Sequence[Place],
     sensors: Mapping[str, Sensor],
     parameters: Sequence[NominalParameter],
-    options: Options,
+    options: BuilderArguments,
     letters: tuple[str, str] = ("q", "v"),
 ) -> PhysicalModel:
     """Return M q'' + C q' + K q = F w, in the coordinates (q, q').
@@ -161,7 +161,7 @@ def unit_vector(size: int, *entries: tuple[int, float]) -> Array:
 
 
 def parse_sensors(
-    options: Options,
+    options: BuilderArguments,
     size: int,
     places: Mapping[str, Place],
     base: Array,
@@ -232,7 +232,7 @@ def _is_request(item: Any) -> bool:
     return isinstance(first, str) and first in _LETTER
 
 
-def input_map(options: Options, M: Any) -> Drive:
+def input_map(options: BuilderArguments, M: Any) -> InputMap:
     """Return how the inputs act on masses with the matrix M."""
     force, size, units, what = options.force, M.shape[0], options.units, options.forces
     base = as_choice(options.excitation, "excitation", ("force", "base")) == "base"
@@ -251,7 +251,7 @@ def input_map(options: Options, M: Any) -> Drive:
     if base:
         matrix = np.hstack([-M @ np.ones((size, 1)), matrix])
         inputs = {"base_acceleration": units["acceleration"], **inputs}
-    return Drive(matrix, np.array([float(label == "base_acceleration") for label in inputs]), inputs)
+    return InputMap(matrix, np.array([float(label == "base_acceleration") for label in inputs]), inputs)
 
 
 def _force_matrix(force: Any, what: str, size: int) -> Array:

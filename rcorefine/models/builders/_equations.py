@@ -112,7 +112,7 @@ class Reading(NamedTuple):
     rate: Row = MappingProxyType({})
 
 
-class Equations(NamedTuple):
+class BuilderEquations(NamedTuple):
     """State equations: ``rates[i][j]`` multiplies the state or input j.
 
     `states` and `inputs` hold units. Labels that are no signal of the model drop out of a row.

@@ -12,7 +12,7 @@ from ...arguments import as_choice, as_flag, as_text
 from ...exceptions import ModelError
 from ..parameters import NominalParameter, combine_units
 from ..physical_model import PhysicalModel
-from ._equations import Equations, Reading, Row, as_number, as_sensors, total
+from ._equations import BuilderEquations, Reading, Row, as_number, as_sensors, total
 
 
 def dc_motor(
@@ -108,7 +108,7 @@ def dc_motor(
         motor = _electromechanical(parts, Ke, b, load_torque)
     rates = {"angle": {"speed": 1.0}, **motor.rates} if "angle" in asked else motor.rates
     channels = {"voltage": "V"} | ({"load_torque": "N m"} if load_torque else {})
-    equations = Equations(rates, {state: units[state] for state in rates}, channels)
+    equations = BuilderEquations(rates, {state: units[state] for state in rates}, channels)
     at_shaft = {"position": units["angle"], "velocity": units["speed"], "force": motor.force_unit}
     words = "shaft against the housing: friction, inertia"
     if simple:
@@ -279,7 +279,7 @@ def quarter_car(
         wheel: total((1.0 / mw, strut), (-kt / mw, tire), (-c_tire / mw, rolling), (-1.0 / mw, pushed)),
     }
     channels = {"road": "m" if height else "m/s"} | ({"force": "N"} if actuator else {})
-    equations = Equations(rates, dict(zip(rates, ("m", "m", "m/s", "m/s"), strict=True)), channels)
+    equations = BuilderEquations(rates, dict(zip(rates, ("m", "m", "m/s", "m/s"), strict=True)), channels)
     readings = {
         "body_acceleration": Reading("m/s^2", {}, {body: 1.0}),
         "wheel_acceleration": Reading("m/s^2", {}, {wheel: 1.0}),

@@ -11,7 +11,17 @@ from ...arguments import as_flag, as_labels, as_text
 from ...exceptions import ModelError
 from ..parameters import NominalParameter, combine_units
 from ..physical_model import PhysicalModel
-from ._equations import Equations, Reading, Row, as_index, as_indices, as_number, as_sensors, as_vector, total
+from ._equations import (
+    BuilderEquations,
+    Reading,
+    Row,
+    as_index,
+    as_indices,
+    as_number,
+    as_sensors,
+    as_vector,
+    total,
+)
 
 
 def series_rlc(
@@ -82,7 +92,7 @@ def series_rlc(
     }
     asked = as_sensors(sensors, list(readings))
     drops = {"charge": -elastance, "current": -resistance, "voltage": 1.0}
-    equations = Equations(
+    equations = BuilderEquations(
         {"charge": current, "current": total((1.0 / inductance, drops))},
         {"charge": "C", "current": "A"},
         {"voltage": "V"},
@@ -189,7 +199,7 @@ def thermal_network(
     ends = {(nodes[i], "ambient" if j is None else nodes[j]): R for (i, j), R in edges.items()}
     heats = {nodes[i]: {f"heat{i + 1}": 1.0 / capacity[nodes[i]]} for i in heated}
     rates = _rates(capacity, heats, ends)
-    equations = Equations(rates, dict.fromkeys(nodes, "K"), channels)
+    equations = BuilderEquations(rates, dict.fromkeys(nodes, "K"), channels)
     places = [
         (node, f"node {node}: heat that it loses to the surroundings", {node: -1.0 / size}, "ambient")
         for node, size in capacity.items()
@@ -317,7 +327,7 @@ def two_tanks(
     measured = [f"h{tank + 1}" for tank in as_indices(sensors, "sensors", "tank", 2)]
     if not measured:
         raise ModelError(f"sensors={sensors!r} must name at least one tank")
-    equations = Equations(
+    equations = BuilderEquations(
         {"h1": {"h1": -k1 / A1, "pump": gain / A1}, "h2": {"h1": k1 / A2, "h2": -k2 / A2}},
         {"h1": level_unit, "h2": level_unit},
         {"pump": pump_unit},

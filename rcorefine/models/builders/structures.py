@@ -19,8 +19,8 @@ from ...systems.linear import Array
 from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
 from ._assembly import (
-    Drive,
-    Options,
+    BuilderArguments,
+    InputMap,
     Place,
     Units,
     assembled,
@@ -128,7 +128,7 @@ def mass_spring_damper(
         for i, row in enumerate(np.eye(n))
     ]
     units = Units.of(position_unit, force_unit)
-    options = Options(excitation, "force", force, sensors, units, (inputs, outputs, states, name))
+    options = BuilderArguments(excitation, "force", force, sensors, units, (inputs, outputs, states, name))
     parameters = [
         NominalParameter(f"{letter}{i + 1}", value, options.units[kind], kind, place.name)
         for letter, kind, values, places in (
@@ -253,7 +253,9 @@ def mechanical(
     [0.0, 1.0, 2.0]
     """
     units = Units.of(position_unit, force_unit)
-    options = Options(excitation, "force_map", force_map, sensors, units, (inputs, outputs, states, name))
+    options = BuilderArguments(
+        excitation, "force_map", force_map, sensors, units, (inputs, outputs, states, name)
+    )
     if not issparse(M):
         M = np.atleast_1d(as_array(M, "M", error=ModelError))
         M = diags(as_vector(M, "M"), format="csc") if M.ndim == 1 else M
@@ -314,7 +316,7 @@ def _matrix(value: Any, name: str, size: int, dense: bool, *, symmetric: bool = 
 
 
 def _by_modes(
-    structure: tuple[Any, Any, Any], r: int, ratio: Any, links: Any, options: Options
+    structure: tuple[Any, Any, Any], r: int, ratio: Any, links: Any, options: BuilderArguments
 ) -> PhysicalModel:
     """Return a model that consists of the lowest r modes of a structure.
 
@@ -341,7 +343,7 @@ def _by_modes(
         for mode, value in zip(modes, values, strict=True)
     ]
     modal = np.eye(r), damping, np.diag(squares)
-    drive = Drive(shapes.T @ drive.force, 0.0 * drive.base, drive.inputs)
+    drive = InputMap(shapes.T @ drive.force, 0.0 * drive.base, drive.inputs)
     model = second_order(modal, drive, [*own, *modes], sensors, parameters, options, ("eta", "deta"))
     ports = [
         replace(port, modal=True, position_unit="", velocity_unit="", force_unit="")
