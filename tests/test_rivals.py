@@ -112,8 +112,9 @@ def test_a_sensor_in_other_units_is_named(seed):
     offered = [rco.Effect(kind, place) for kind, place in places.items()]
     found = rco.diagnose(motor, rco.Measurement(w, y, dt=0.01), candidates=offered)
     assert {e.kind for e in found.ambiguous} == {"output_gain", "input_gain"}  # one thing, the motor linear
-    for row in found.ranking[:2]:
-        assert abs(row.coefficients["gain"] - 999) < 4 * row.std["gain"]
+    assert found.verdict == "effect"
+    assert {found.best.effect, *found.best.same} == set(found.ambiguous)
+    assert abs(found.best.coefficients["gain"] - 999) < 4 * found.best.std["gain"]
 
 
 def test_the_width_of_friction_is_that_of_the_record():

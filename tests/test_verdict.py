@@ -74,7 +74,7 @@ def asked(
         effects = named_by(name)
         held = (FLOATED if "+" in name else frozenset()) | (FOH if "h" in name else frozenset())
         own = {"hypothesis": Hypothesis(effects, held), "effects": effects, "name": name, "value": value}
-        trials.append(SimpleNamespace(**own))
+        trials.append(SimpleNamespace(**own, equals=lambda other: False))
     search: Any = SimpleNamespace(
         case=SimpleNamespace(levels=Levels(), significance=significance, library=list(named_by(library))),
         price=np.log(len(library)),

@@ -211,6 +211,11 @@ def _named(
         family.append(row)
         row, trial = passing[0]
         family.remove(row)
+    elif simpler:  # the evidence does not exclude what the tests reject: neither is certain
+        contested = [row, *simpler]
+        first = max(contested, key=lambda r: r.value)
+        row, trial = first, trial if first is row else first.trials[0]
+        family = [r for r in family if r not in contested]
     total = float(np.logaddexp.reduce([r.value for r in rows]))
     mass = float(np.logaddexp.reduce([r.value for r in [row, *family]]))
     none = 1.0 / (1.0 + float(np.exp(-search.criticized(trial).odds)))
@@ -224,7 +229,7 @@ def _named(
     near = [r for r in rows if r.value > row.value - 0.5 * levels.rival]
     ties = tuple(r for r in near if r not in (row, *family))
     alone = probability >= levels.named or (probability >= 0.5 and not ties)
-    word = "effect" if alone else "ambiguous"
+    word = "effect" if alone and (passing or not simpler) else "ambiguous"
     return Answer(word, row, trial, effects, ties, tuple(family), probability, none)
 
 
