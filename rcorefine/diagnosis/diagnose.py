@@ -453,20 +453,18 @@ def _listed(search: Search, rows: Sequence[TableRow], found: Answer, base: Refin
     verdict "unexplained" only the most probable trial and those of the base are listed, by their fit in free
     run. The evidence would not do there: a noise filter fitted to model errors makes them cheap.
     """
-    trials = [row.trials[0] for row in rows if row.effects]
-    if found.trial.effects:
-        trials = [found.trial, *trials]
-    trials += [trial for trial in search.ranked() if len(trial.effects) == 1]
+    known = {frozenset[Effect](), *(frozenset(effects) for row in rows for effects in row.same)}
+    singles = (trial for trial in search.ranked() if len(trial.effects) == 1)
+    trials = [found.trial, *(row.trials[0] for row in rows), *singles]
+    trials = [trial for trial in trials if frozenset(trial.effects) not in known]
     if found.verdict == "unexplained":
         best = search.best  # a set beside re-estimated parameters may be the best that is known
         here = [trial for trial in trials if trial.base.refinement is base or trial is best]
         trials = [search.fitter.in_free_run(trial) for trial in dict.fromkeys(here or trials)]
         trials.sort(key=lambda trial: -float(np.mean(trial.model.refinement.fit)))
     first: dict[frozenset[Effect], Trial] = {}
-    renamed = {frozenset(effects) for row in rows for effects in row.same}
     for trial in trials:
-        if frozenset(trial.effects) not in renamed:
-            first.setdefault(frozenset(trial.effects), trial)
+        first.setdefault(frozenset(trial.effects), trial)
     return list(first.values())[:_LISTED]
 
 

@@ -325,10 +325,10 @@ class Trial:
 
     @cached_property
     def elsewhere(self) -> tuple[Array, Array] | None:
-        """Outputs for white inputs, with and without the effects; None where no input drives the model.
+        """Outputs for white inputs, with and without the effects.
 
-        The inputs have the mean and twice the size of those of the first record. The first quarter of the
-        outputs is left out: it depends on what was before.
+        None where no input drives the model. The inputs have the mean and twice the size of those of the
+        first record. The first quarter of the outputs is left out: it depends on what was before.
         """
         first = self.problem.records[0]
         if not self.problem.in_time or at_rest([first]):
@@ -345,7 +345,7 @@ class Trial:
         return with_it, without
 
     def equals(self, other: Trial) -> bool:
-        """Return whether it is the same change of the model as another trial, under another name.
+        """Return whether another trial is the same change of the model.
 
         Both have the same outputs for white inputs, to a hundredth of that change.
         """

@@ -302,7 +302,7 @@ def _descended(
 def _shapes_of(
     effect: Effect, structure: Structure, given: Mapping[Effect, dict[str, float]], motion: Motion
 ) -> list[dict[str, float]]:
-    """Return shaping coefficients, also those that imitate given effects with their coefficients."""
+    """Return shaping coefficients, also those that imitate given effects."""
     one = Structure(structure.model, [effect])
     names, shaping = [q.name for q in one.parameters], effect.spec.shaping
     shapes = []

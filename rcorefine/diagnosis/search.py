@@ -568,10 +568,10 @@ class Search:
                 return
 
     def _simplify(self) -> None:
-        """Refit the special cases of the leading laws, each from the optimum of the general law.
+        """Refit the special cases of the leading laws.
 
-        At a limit of its shape a law equals a simpler one. The evidence compares the two only if both are
-        fitted in the same valley.
+        Each starts from the optimum of the general law. At a limit of its shape a law equals a simpler one.
+        The evidence compares the two only if both are fitted in the same valley.
         """
         with self.case.progress.step("simpler laws"):
             for _ in range(_ROUNDS):
@@ -586,7 +586,10 @@ class Search:
                     return
 
     def _special_case(self, trial: Trial, i: int, other: Effect) -> None:
-        """Fit a trial with an effect replaced by a special case of it, unless that fits as well already."""
+        """Fit a trial with a special case of one of its effects.
+
+        Nothing is done if that fits as well already.
+        """
         effects = (*trial.effects[:i], other, *trial.effects[i + 1 :])
         nuisances, start = trial.hypothesis.nuisances, trial.start
         if is_number(other) and trial.hypothesis.floated:  # the parameters are held, except this one

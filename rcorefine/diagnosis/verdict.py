@@ -50,7 +50,7 @@ class TableRow:
 
     @property
     def other_names(self) -> tuple[Effect, ...]:
-        """Effects of the same sets under another name that its own set does not have."""
+        """Effects of the same sets that its own set does not have."""
         return tuple(dict.fromkeys(e for effects in self.same for e in effects if e not in self.effects))
 
 
@@ -106,20 +106,24 @@ def table(search: Search) -> list[TableRow]:
         near = [t for t, v in zip(trials, values, strict=True) if v > values[0] + excluded]
         rows.append(TableRow(near[0].effects, key is True, float(np.logaddexp.reduce(values)), near))
     rows.sort(key=lambda row: -row.value)
-    distinct: list[TableRow] = []
+    likely = [row for row in rows if row.effects and row.value > rows[0].value + excluded]
+    rest = [row for row in rows if row not in likely]
+    return sorted([*_distinct(likely), *rest], key=lambda row: -row.value)
+
+
+def _distinct(rows: Sequence[TableRow]) -> list[TableRow]:
+    """Return one row for all that are the same change of the model."""
+    found: list[TableRow] = []
     for row in rows:
-        likely = row.effects and row.value > rows[0].value + excluded
-        others = [i for i, r in enumerate(distinct) if r.effects] if likely else []
-        i = next((i for i in others if distinct[i].trials[0].equals(row.trials[0])), None)
-        if i is None:
-            distinct.append(row)
+        i = next((i for i, r in enumerate(found) if r.trials[0].equals(row.trials[0])), len(found))
+        if i == len(found):
+            found.append(row)
             continue
         # a law has a meaning that an entry of a matrix lacks
-        known = sorted((distinct[i], row), key=lambda r: any("any" in e.spec.where for e in r.effects))
-        same = (*known[0].same, known[1].effects, *known[1].same)
-        value = float(np.logaddexp(distinct[i].value, row.value))
-        distinct[i] = replace(known[0], value=value, same=same)
-    return sorted(distinct, key=lambda row: -row.value)
+        own, other = sorted((found[i], row), key=lambda r: any("any" in e.spec.where for e in r.effects))
+        value = float(np.logaddexp(own.value, other.value))
+        found[i] = replace(own, value=value, same=(*own.same, other.effects, *other.same))
+    return found
 
 
 def special(one: Sequence[Effect], other: Sequence[Effect]) -> bool:

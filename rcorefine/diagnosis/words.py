@@ -64,10 +64,7 @@ def sentences(found: Diagnosis) -> list[str]:
         lines += [f"Smallest effects that it would show (95 % probability): {shown}."] if shown else []
     elif worst is not None:  # without motion nothing could be tested
         lines += [*_open_law(found), *_tests(found, worst), *_meaning(found)]
-    if found.effects and found.best is not None and found.best.same:
-        names = ", ".join(effect.label for effect in found.best.same)
-        lines.append(f"Another name of the same change, for any record: {names}.")
-    lines += _other_forces(found)
+    lines += [*_other_names(found), *_other_forces(found)]
     if found.verdict == "ambiguous" and sum(row.alike for row in found.ranking) != 1:
         lines.append(
             "More outputs, a wider band or another amplitude would distinguish them."
@@ -77,6 +74,13 @@ def sentences(found: Diagnosis) -> list[str]:
     if found.base.physical_model.operating_point is not None and found.ranking:
         lines.append("At the operating point, each force law is used without its tangent: the model has it.")
     return [*filter(None, lines), *found.notes]
+
+
+def _other_names(found: Diagnosis) -> list[str]:
+    """Return the other names of the named change."""
+    same = found.best.same if found.best is not None and found.effects else ()
+    names = ", ".join(effect.label for effect in same)
+    return [f"Another name of the same change, for any record: {names}."] if names else []
 
 
 def _other_forces(found: Diagnosis) -> list[str]:

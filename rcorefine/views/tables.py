@@ -219,7 +219,7 @@ class TextTable:
 
 
 def tabulates(kind: type) -> Callable[[_Cells], _Cells]:
-    """Enter the `TextTable` that results of this class are, as text and as HTML."""
+    """Enter the `TextTable` that results of this class are, in text and HTML."""
 
     def enter(table: _Cells) -> _Cells:
         shows(kind, "text")(lambda result: table(result).text())
