@@ -375,10 +375,10 @@ def _told(
     listed = _listed(search, rows, found, about["base"])
     tied = [set(row.effects) for row in (found.row, *found.ties)]
     alike = [word != "unexplained" and set(one.effects) in tied for one in listed]
-    names = {frozenset(row.effects): row.other_names for row in rows}
+    names = {frozenset(row.effects): row.same for row in rows}
     same = [names.get(frozenset(one.effects), ()) for one in listed]
     ranked = ranking(listed, _shares(rows, found, listed), alike, same, nothing.total, case, validation)
-    named = [e for row in ranked if row.alike for e in (*row.effects, *row.same)]
+    named = [e for row in ranked if row.alike for one in (row, *row.same) for e in one.effects]
     others = [e for e in named if e not in trial.effects]
     winner = own or tuple(search.all_tests(trial))
     about |= {"ranking": ranked, "winner_tests": winner, "notes": tuple(notes)}
@@ -453,7 +453,7 @@ def _listed(search: Search, rows: Sequence[TableRow], found: Answer, base: Refin
     verdict "unexplained" only the most probable trial and those of the base are listed, by their fit in free
     run. The evidence would not do there: a noise filter fitted to model errors makes them cheap.
     """
-    known = {frozenset[Effect](), *(frozenset(effects) for row in rows for effects in row.same)}
+    known = {frozenset[Effect](), *(frozenset(one.effects) for row in rows for one in row.same)}
     singles = (trial for trial in search.ranked() if len(trial.effects) == 1)
     trials = [found.trial, *(row.trials[0] for row in rows), *singles]
     trials = [trial for trial in trials if frozenset(trial.effects) not in known]

@@ -458,10 +458,10 @@ class _Improver:
         near = search.posterior(chosen) - 0.5 * search.case.levels.rival
         ties: dict[Effect, list[Effect]] = {e: [] for e in chosen.effects}
         for row in table(search):
-            if set(chosen.effects) in map(set, (row.effects, *row.same)):
-                others = [e for effects in (row.effects, *row.same) for e in effects]
-                names = ", ".join(e.label for e in not_held(list(dict.fromkeys(others)), chosen.effects))
-                said += [f"Another name of the same change, for any record: {names}."] if names else []
+            sets = [set(trial.effects) for trial in (row.trials[0], *row.same)]
+            if set(chosen.effects) in sets:
+                own, *names = (" + ".join(sorted(e.label for e in one)) for one in sets)
+                said += [f"For these inputs and outputs {own} is the same change as {n}." for n in names]
                 continue
             gone = set(chosen.effects) - set(row.effects)
             new = set(row.effects) - set(chosen.effects)

@@ -54,9 +54,9 @@ class RankedEffect(Row):
         Other effects of the same hypothesis: `refinement` holds them all.
     alike : bool
         Whether the records cannot distinguish it from the best one; the best one itself is.
-    same : tuple of Effect
-        Other names of the same change of the model: no record distinguishes them. Their probability is
-        included.
+    same : tuple of RankedEffect
+        The same change of the model under other names: no record of these inputs and outputs distinguishes
+        them. Their probability is included.
     """
 
     effect: Effect
@@ -70,7 +70,7 @@ class RankedEffect(Row):
     refinement: Refinement
     beside: tuple[Effect, ...] = ()
     alike: bool = False
-    same: tuple[Effect, ...] = ()
+    same: tuple[RankedEffect, ...] = ()
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -81,7 +81,7 @@ class RankedEffect(Row):
     def label(self) -> str:
         """Names of all its effects, and what else they may be called."""
         own = " + ".join(effect.label for effect in self.effects)
-        return " = ".join([own, *(effect.label for effect in self.same)])
+        return " = ".join([own, *(row.label for row in self.same)])
 
     @property
     def estimates(self) -> list[tuple[Effect, dict[str, EstimatedParameter]]]:

@@ -38,20 +38,15 @@ class TableRow:
         Log posterior probability, summed over the nuisances, up to a constant.
     trials : list of Trial
         Fits that the data do not exclude, the most probable first.
-    same : tuple of tuple of Effect
-        Sets that are the same change of the model under another name. Their probabilities are included.
+    same : tuple of Trial
+        Fits of other sets that are the same change of the model. Their probabilities are included.
     """
 
     effects: tuple[Effect, ...]
     floated: bool
     value: float
     trials: list[Trial]
-    same: tuple[tuple[Effect, ...], ...] = ()
-
-    @property
-    def other_names(self) -> tuple[Effect, ...]:
-        """Effects of the same sets that its own set does not have."""
-        return tuple(dict.fromkeys(e for effects in self.same for e in effects if e not in self.effects))
+    same: tuple[Trial, ...] = ()
 
 
 class Answer(NamedTuple):
@@ -122,7 +117,7 @@ def _distinct(rows: Sequence[TableRow]) -> list[TableRow]:
         # a law has a meaning that an entry of a matrix lacks
         own, other = sorted((found[i], row), key=lambda r: any("any" in e.spec.where for e in r.effects))
         value = float(np.logaddexp(own.value, other.value))
-        found[i] = replace(own, value=value, same=(*own.same, other.effects, *other.same))
+        found[i] = replace(own, value=value, same=(*own.same, other.trials[0], *other.same))
     return found
 
 
@@ -241,7 +236,7 @@ def ranking(
     trials: Sequence[Trial],
     probabilities: Sequence[float],
     alike: Sequence[bool],
-    same: Sequence[tuple[Effect, ...]],
+    same: Sequence[Sequence[Trial]],
     nothing: float,
     case: Case,
     validation: Measurement | None,
@@ -256,8 +251,8 @@ def ranking(
         Probability of each set.
     alike : sequence of bool
         Whether the data cannot distinguish the set from the best one.
-    same : sequence of tuple of Effect
-        Other names of each set.
+    same : sequence of sequence of Trial
+        Fits of each set under its other names.
     nothing : float
         Log evidence without any effect.
     case : Case
@@ -269,24 +264,27 @@ def ranking(
     -------
     tuple of RankedEffect
     """
-    horizon, rows = case.settings["horizon"], []
+    horizon = case.settings["horizon"]
     before = _validated(case.base, validation, horizon)
-    effects = list(dict.fromkeys(effect for trial in trials for effect in trial.effects))
+    every = [*trials, *(trial for others in same for trial in others)]
+    effects = list(dict.fromkeys(effect for trial in every for effect in trial.effects))
     scored = candidate_columns(case.fitted, effects, case.motions[0], (0.0,))
     tests = TestedResidual(case.fitted).each(scored)
     scores = {c.effect: test.p_value for c, test in zip(scored, tests, strict=True)}
-    for i, (trial, probability) in enumerate(zip(trials, probabilities, strict=True)):
+
+    def row(i: int, trial: Trial, others: tuple[RankedEffect, ...] = ()) -> RankedEffect:
         refinement = trial.model.refinement
         order = sorted(range(len(trial.effects)), key=lambda k: -trial.surest[k])
         first, *more = (trial.effects[k] for k in order)
         own = estimates(refinement, first)
-        values = {name: row.coefficient for name, row in own.items()}
-        std = {name: row.std for name, row in own.items()}
+        values = {name: found.coefficient for name, found in own.items()}
+        std = {name: found.std for name, found in own.items()}
         after = _validated(refinement, validation if i < 8 else None, horizon)
         p_value = min(scores.get(effect, 1.0) for effect in trial.effects)
-        figures = (before, after, p_value, float(probability), trial.total - nothing)
-        rows.append(RankedEffect(first, values, std, *figures, refinement, tuple(more), alike[i], same[i]))
-    return tuple(rows)
+        figures = (before, after, p_value, float(probabilities[i]), trial.total - nothing)
+        return RankedEffect(first, values, std, *figures, refinement, tuple(more), alike[i], others)
+
+    return tuple(row(i, trial, tuple(row(i, one) for one in same[i])) for i, trial in enumerate(trials))
 
 
 def estimates(refinement: Refinement, effect: Effect) -> dict[str, EstimatedParameter]:

@@ -16,7 +16,7 @@ from .residual_tests import overall
 
 if TYPE_CHECKING:
     from ..inference.f_tests import FTest
-    from .result import Diagnosis
+    from .result import Diagnosis, RankedEffect
 
 
 _VERDICTS = {
@@ -79,8 +79,8 @@ def sentences(found: Diagnosis) -> list[str]:
 def _other_names(found: Diagnosis) -> list[str]:
     """Return the other names of the named change."""
     same = found.best.same if found.best is not None and found.effects else ()
-    names = ", ".join(effect.label for effect in same)
-    return [f"Another name of the same change, for any record: {names}."] if names else []
+    names = ", ".join(map(_estimated, same))
+    return [f"For these inputs and outputs it is the same change as {names}."] if names else []
 
 
 def _other_forces(found: Diagnosis) -> list[str]:
@@ -230,12 +230,18 @@ def _of_record(effect: Effect, values: Mapping[str, float], *, sure: bool) -> st
 def _best(found: Diagnosis) -> str:
     if found.best is None:
         return "nothing"
-    row, told = found.best, []
+    row = found.best
+    sure = "" if found.verdict == "unexplained" else f", probability {row.probability:.2f}"
+    return f"{_estimated(row)}: fit {row.fit_before:.4g} -> {row.fit_after:.4g} %{sure}"
+
+
+def _estimated(row: RankedEffect) -> str:
+    """Name the effects of a row with their coefficients."""
+    told = []
     for effect, own in row.estimates:
         values = ", ".join(with_error(r.coefficient, r.std) for r in own.values())
         told.append(f"{effect.label} ({values})")
-    sure = "" if found.verdict == "unexplained" else f", probability {row.probability:.2f}"
-    return f"{' and '.join(told)}: fit {row.fit_before:.4g} -> {row.fit_after:.4g} %{sure}"
+    return " and ".join(told)
 
 
 _LISTED = 6  # numbers that are listed

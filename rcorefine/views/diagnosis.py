@@ -161,12 +161,13 @@ def diagnosis_told(found: Diagnosis) -> Told:
     headers += ["P"] if named else []
     rows = []
     for row in found.ranking[:_SHOWN]:
-        for i, (effect, own) in enumerate(row.estimates):
-            first = next(iter(own.values()))
-            whole = [f"{row.fit_after:.2f}", chance(row.p_value), f"{row.probability:.3f}"][: 2 + named]
-            value = estimate(first.coefficient, first.std)
-            rows.append(["+ " * (i > 0) + effect.label, *value, *([""] * len(whole) if i else whole)])
-        rows += [[f"= {effect.label}", *[""] * (len(headers) - 1)] for effect in row.same]
+        whole = [f"{row.fit_after:.2f}", chance(row.p_value), f"{row.probability:.3f}"][: 2 + named]
+        for name in (row, *row.same):
+            for i, (effect, own) in enumerate(name.estimates):
+                first = next(iter(own.values()))
+                sign = "+ " if i else "= " * (name is not row)
+                rows.append([sign + effect.label, *estimate(first.coefficient, first.std), *whole])
+                whole = [""] * len(whole)  # of the row, in its first line only
     if rows and named:
         rows.append(["none of these", "", "", "", "", f"{found.none_of_these:.3f}"])
     if found.open_law is not None:
