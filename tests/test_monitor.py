@@ -5,9 +5,12 @@ from __future__ import annotations
 import itertools
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import threading
+import time
+from dataclasses import replace
 
 import control as ct
 import numpy as np
@@ -18,6 +21,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom, chi2, poisson
 
 import rcorefine as rco
+import rcorefine.streaming.monitor.monitor as watching
 from rcorefine.streaming.monitor.learning import crossing_rate, threshold
 from rcorefine.streaming.monitor.saving import content_of
 from rcorefine.streaming.monitor.stream import Stream
@@ -803,3 +807,75 @@ def test_delay_and_link_over_many_structures():
         right.append(found is not None and found.effect.place == f"link{plant.link + 1}")
     assert np.median(delays) <= 10
     assert binom.cdf(sum(right), len(right), 0.95) > 0.01
+
+
+def table_monitor():
+    """A chain watched for a tabulated force and a friction, and its record."""
+    plant = Chain(13, n=1, sensor="displacement")
+    spring = rco.Table(d=[-1.0, 0.0, 1.0], force=[-2.0, 0.0, 9.0])
+    place = plant.model.ports[0].name
+    watched = [rco.Effect("tabulated", place, law=spring), rco.Effect("coulomb_friction", place)]
+    monitor = rco.Monitor(plant.model, watched, dt=plant.dt, learn=300)
+    w, y = plant.record(np.zeros(900))
+    monitor.update(w[:600], y[:600])
+    return monitor, w[600:], y[600:]
+
+
+GO_ON = """
+import sys, numpy as np, rcorefine as rco
+monitor = rco.Monitor.load(sys.argv[1])
+new = np.load(sys.argv[2])
+monitor.update(new["w"], new["y"])
+print(repr(monitor.probability[:, -1].tolist()))
+"""
+
+
+def test_a_monitor_of_a_table_goes_on_in_another_process(tmp_path):
+    """Addresses hold in one process: none stands in a state, and none from a file is believed."""
+    monitor, w, y = table_monitor()
+    monitor.save(tmp_path / "monitor.npz")
+    np.savez(tmp_path / "new.npz", w=w, y=y)
+    (tmp_path / "go_on.py").write_text(GO_ON)
+    files = [str(tmp_path / name) for name in ("go_on.py", "monitor.npz", "new.npz")]
+    found = subprocess.run([sys.executable, *files], capture_output=True, text=True, check=True)
+    content = content_of(monitor)
+    bank = content["stream"]["bank"]
+    content["stream"]["bank"] = replace(bank, values=np.where(bank.values == 0.0, 4096.0, bank.values))
+    write_file(tmp_path / "wrong.npz", content)
+    wrong = rco.Monitor.load(tmp_path / "wrong.npz")
+    for one in (monitor, wrong):
+        one.update(w, y)
+    assert found.stdout.strip() == repr(monitor.probability[:, -1].tolist())
+    assert np.isfinite(wrong.probability[:, -1]).all()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_a_fork_amid_an_update_gets_a_monitor_that_works(monkeypatch):
+    """The child has the samples of before or after the update, as the parent, and can go on."""
+    monitor, w, y = table_monitor()
+    inside, count = threading.Event(), monitor.n_samples
+    take = watching.watch_block
+
+    def slow(*args, **how):
+        inside.set()
+        time.sleep(0.1)
+        return take(*args, **how)
+
+    monkeypatch.setattr(watching, "watch_block", slow)
+    thread = threading.Thread(target=monitor.update, args=(w[:20], y[:20]))
+    thread.start()
+    inside.wait()
+    child = os.fork()
+    if child == 0:
+        signal.alarm(20)  # a child that hangs dies of it
+        monkeypatch.undo()
+        code = 1
+        try:
+            first = monitor.n_samples
+            monitor.update(w[20:], y[20:])
+            code = 0 if (first, monitor.n_samples) == (count + 20, count + w.shape[0]) else 2
+        finally:
+            os._exit(code)
+    thread.join()
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    str(monitor)  # the parent's lock is free, too

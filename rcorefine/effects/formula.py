@@ -112,6 +112,11 @@ class FormulaLaw(Law):
         """Coefficients and constants in the order in which the kernels hold them."""
         return (*self.coefficient_names, *(name for name in self.constants if name != "width"))
 
+    @property
+    def addresses(self) -> frozenset[str]:
+        """Constants that are addresses in this process, and no setting."""
+        return frozenset(self.constants) - frozenset(self.adjustable)
+
     @cached_property
     def _made(self) -> dict[bytes, tuple[int, Any]]:
         """Codes of the law for each set of values that it has read.

@@ -89,17 +89,17 @@ class Bank:
     def columns(self) -> Columns:
         """Laws of the columns for the kernels of this process.
 
-        A law is 0 where there is none to evaluate.
+        A law is 0 where there is none to evaluate. Addresses (of a law, of a table) hold in one process only,
+        so they are never part of a bank.
         """
-        specs = [self.effects[owner].spec for owner in self.owner]
-        asked = (self.codes < 100) | (self.codes == CODES["change"])
-        laws = [
-            spec.code if ask and isinstance(spec, FormulaLaw) else 0
-            for spec, ask in zip(specs, asked, strict=True)
-        ]
-        return Columns(
-            self.rows, self.codes, np.array(laws, dtype=np.int64), self.values, self.widths, self.pick
-        )
+        laws, values = np.zeros(self.size, dtype=np.int64), self.values.copy()
+        for j in np.flatnonzero((self.codes < 100) | (self.codes == CODES["change"])):
+            spec = self.effects[self.owner[j]].spec
+            if isinstance(spec, FormulaLaw):
+                laws[j] = spec.code
+                for name in spec.addresses:
+                    values[j, spec.row.index(name)] = spec.constants[name]
+        return Columns(self.rows, self.codes, laws, values, self.widths, self.pick)
 
     @property
     def size(self) -> int:
@@ -291,7 +291,8 @@ def _columns(
         if name not in law.shaping and name not in effect.fixed
     ]
     assert isinstance(law, FormulaLaw)
-    known = [{**effect.constants, **effect.fixed, **shape} for shape in shapes]
+    here = dict.fromkeys(law.addresses, 0.0)
+    known = [{**effect.constants, **effect.fixed, **shape, **here} for shape in shapes]
     rows = [tuple(float(one.get(name) or 0.0) for name in law.row) for one in known]
     return [
         _Column(owner, name or first, 0 if name else CODES["change"], *place, row, width, c)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from typing import Any, Unpack
@@ -21,8 +20,8 @@ from ...inference.levels import levels
 from ...results import Options, Result, picture, show
 from ...systems.discretization import check_sampling_time
 from ...systems.linear import Array
+from ..locks import alone, own_lock
 from ..persistence import read_file, write_file
-from ..refiner import alone
 from ..samples import Block, as_missing, as_size, checked_block
 from .bank import checked_candidates
 from .learning import BLOCKS, PER, Adequacy, learned, record_to_watch, window_lengths
@@ -184,7 +183,7 @@ class Monitor(Result):
         self._block = max(1, self._period // 8)
         self.windows = windows
         self._lengths = window_lengths(windows, self._period)
-        self._lock = threading.RLock()
+        self._lock = own_lock()
         self.reset()
 
     @alone
