@@ -324,13 +324,14 @@ def _shapes_of(
 
 
 def imitations(
-    trial: Trial, which: Sequence[int], others: Iterable[Effect], motion: Motion
+    trial: Trial, which: Sequence[int], others: Iterable[Effect], motion: Motion, *, special: bool = False
 ) -> list[tuple[Effect, dict[str, float]]]:
     """Return the effects that imitate the force of some effects best.
 
     Each comes with its coefficients. At most `_IMITATIONS` effects are returned, none that leaves more than
     `_IMITATED` of the force. Where parameters are re-estimated they take the linear part of the force, unless
-    one of the other effects is such a parameter.
+    one of the other effects is such a parameter. With `special`, the others are special cases: none is too
+    far, and offsets and initial states take a constant force.
     """
     along = [one for one in map(trial.force, which) if one is not None]
     if len(along) < len(which):
@@ -340,7 +341,7 @@ def imitations(
     # re-estimated parameters take the linear part
     others = list(others)
     beside = trial.hypothesis.floated and not any(other.spec.is_parameter for other in others)
-    linear = np.array([d, v]) if beside else np.zeros((0, d.size))
+    linear = np.array([d, v][: 2 * beside] + [np.ones(d.size)][: int(special)]).reshape(-1, d.size)
 
     def fitted(columns: Sequence[Array]) -> tuple[float, Array]:
         """Return the sum of squares that columns leave, and their sizes."""
@@ -362,6 +363,6 @@ def imitations(
                 options.append((left / whole, other, values))
     best: dict[Effect, dict[str, float]] = {}
     for left, other, values in sorted(options, key=lambda one: one[0]):
-        if left < _IMITATED and len(best) < _IMITATIONS:
+        if (special or left < _IMITATED) and len(best) < _IMITATIONS:
             best.setdefault(other, values)
     return list(best.items())

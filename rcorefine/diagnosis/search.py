@@ -600,10 +600,8 @@ class Search:
             return
         values = {n: start.values[i].get(n, 0.0) for n in other.free}
         if trial.force(i) is not None:
-            alike = imitations(trial, [i], [other], self.motion)
-            if not alike:
-                return
-            ((_, values),) = alike
+            alike = dict(imitations(trial, [i], [other], self.motion, special=True))
+            values = alike.get(other, values)
         start = replace(start, values=[*start.values[:i], values, *start.values[i + 1 :]])
         self.try_(effects, nuisances, [start], noise=trial.noise, evaluations=10)
 
