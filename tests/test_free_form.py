@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.interpolate import RegularGridInterpolator
+from scipy.signal import cont2discrete, dlsim
 from scipy.stats import multivariate_normal
 
 import rcorefine as rco
 from rcorefine.diagnosis import residual_tests
-from rcorefine.diagnosis.beside import Beside, stops
+from rcorefine.diagnosis.beside import Beside, channel_curve, stops
 from rcorefine.effects.effect import unit_forces
 from rcorefine.effects.given import share_beyond
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.fitted import fitted_from
-from rcorefine.inference.free_form import Curve, averaged_evidence, evidence
+from rcorefine.inference.free_form import Curve, averaged_evidence, channel_signal, evidence
 
 SPRING = rco.Table(d=[-1.0, 0.0, 2.0], force=[-2.0, 0.0, 8.0])
 BOTH = rco.Table(d=[-1.0, 0.0, 2.0], v=[-1.0, 1.0], force=[[0.0, 1.0], [2.0, 3.0], [4.0, 9.0]])
@@ -292,3 +293,28 @@ def test_a_true_law_keeps_its_name_and_all_sums_to_one():
     assert sum(found.places.values()) == pytest.approx(1.0)
     with pytest.raises(rco.ModelError, match="no unknown force"):
         found.law()
+
+
+def late_record(rng, n=300, late=57):
+    """Record of an oscillator behind a delay of whole samples, its model, and its output without noise."""
+    system = [np.array(part) for part in ([[0, 1], [-4.0, -1]], [[0], [4.0]], [[1.0, 0]], [[0.0]])]
+    u = 5.0 + 2.0 * np.repeat(rng.standard_normal(n // 10), 10)
+    seen = np.append(np.zeros(late), u)[:n]
+    y = dlsim((*cont2discrete(system, 0.05)[:4], 0.05), seen)[1][:, 0]
+    model = ct.ss(*system, states=["x", "v"], inputs="u", outputs="y")
+    return model, rco.Measurement(u, y + 0.03 * y.std() * rng.standard_normal(n), dt=0.05), y
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_free_curve_of_an_output_leaves_out_what_a_delay_hides(seed):
+    """The hidden samples have no weight: they give the curve no knots, and it finds nothing to explain."""
+    model, data, y = late_record(np.random.default_rng(seed))
+    late = rco.Effect("output_delay", "y", start={"delay": 57 * 0.05})
+    fitted = fitted_from(rco.refine(model, data, [late]), [data], tolerance=0.0)
+    assert fitted.refinement.parameter("delay").value == pytest.approx(2.85, abs=0.025)
+    signal, hidden = channel_signal(fitted, "y", 0), fitted.problem.judged(fitted.theta)[0][0] == 0
+    assert 50 < hidden.sum() < 60
+    assert np.abs(signal - y)[~hidden].max() < 0.1 * y.std()
+    assert channel_curve(fitted, "y").d.min() >= signal[~hidden].min()
+    (test,) = Beside(residual_tests.TestedResidual(fitted), "y").tests()
+    assert test.p_value > 0.001

@@ -159,13 +159,18 @@ def curve_at(fitted: FittedModel, place: str, ratio: float) -> Curve | None:
 def channel_curve(fitted: FittedModel, label: str) -> Curve | None:
     """Return the knots of a free curve of an input or an output.
 
-    None if the label is no channel, or if its signal is constant.
+    None if the label is no channel, or if its signal is constant. A curve has no knots where only samples
+    lie that a delay hides.
     """
     model = fitted.structure.linear_model
     kind = InputCurve.name if label in model.input_labels else OutputCurve.name
     if label not in (*model.input_labels, *model.output_labels):
         return None
-    x = np.concatenate([channel_signal(fitted, label, i) for i in range(len(fitted.problem.records))])
+    signals = [channel_signal(fitted, label, i) for i in range(len(fitted.problem.records))]
+    if kind == OutputCurve.name:
+        j = list(model.output_labels).index(label)
+        signals = [x[w[j] > 0] for x, w in zip(signals, fitted.problem.judged(fitted.theta), strict=True)]
+    x = np.concatenate(signals)
     curve = Curve.along(label, x, np.zeros(x.size), kind) if np.ptp(x) else None
     return curve if curve is not None and curve.d.size else None
 

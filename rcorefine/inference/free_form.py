@@ -365,12 +365,16 @@ def curve_responses(model: FittedModel, without: FittedModel, curve: Curve, rati
 
 
 def channel_signal(fitted: FittedModel, label: str, i: int) -> Array:
-    """Return an input of a record, or an output of the model there."""
-    model, record = fitted.structure.linear_model, fitted.problem.records[i]
+    """Return an input of a record, or an output of the model there.
+
+    The output of the model includes the samples that a delay hides: they have no weight in the residual.
+    """
+    model, problem = fitted.structure.linear_model, fitted.problem
     if label in model.input_labels:
-        return np.asarray(record.inputs[list(model.input_labels).index(label)])
-    j = list(model.output_labels).index(label)
-    return np.asarray(fitted.blocks()[i][0][j] / fitted.problem.weights[j] + record.outputs[j])
+        return np.asarray(problem.records[i].inputs[list(model.input_labels).index(label)])
+    theta, starts = problem.unpack(fitted.point)
+    run = problem.engines[i].run(theta, starts[i], sensitivity=False, gain=fitted.gain(0.0), check=False)
+    return np.asarray(run.outputs[list(model.output_labels).index(label)])
 
 
 _LEVELS = np.logspace(-3, 1, 9)  # of the force that drives the estimate, tried by likelihood
