@@ -182,7 +182,7 @@ def edited(path, old, new):
         "importlib:import_module", "subprocess:getoutput", "os.path:join", "rcorefine:evil.law",
         "numpy:DataSource", "scipy:evil.law", "rcorefine.effects.law:register",
         "test_rco_persistence:os.getcwd", "test_rco_persistence:Effect",
-        "test_rco_persistence:cube.__globals__", "test_rco_persistence:renamed",
+        "test_rco_persistence:cube.__globals__", "test_rco_persistence:renamed", "__main__:wipe",
     ],
 )  # fmt: skip
 def test_no_file_says_what_is_imported_or_called(tmp_path, monkeypatch, law, kind):
@@ -193,6 +193,13 @@ def test_no_file_says_what_is_imported_or_called(tmp_path, monkeypatch, law, kin
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys.modules[cube.__module__], "renamed", np.add, raising=False)
+
+    def wipe(d, v):
+        (tmp_path / "ran").write_text("wiped")
+        return 0.0 * d
+
+    wipe.__module__, wipe.__qualname__ = "__main__", "wipe"
+    monkeypatch.setattr(sys.modules["__main__"], "wipe", wipe, raising=False)
     saved = kind(chain(), dt=0.02, **{"effects" if kind is RCORefiner else "candidates": CUBIC})
     saved.save(tmp_path / "state.npz")
     edited(tmp_path / "state.npz", f"{cube.__module__}:cube", law)

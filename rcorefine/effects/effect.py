@@ -6,6 +6,7 @@ import inspect
 import sys
 from collections.abc import Callable, Mapping
 from typing import Any
+from weakref import WeakSet
 
 import control as ct
 import numpy as np
@@ -134,6 +135,8 @@ class Effect:
         spec = instance_of(own) if own else KINDS[kind].of(law, tuple(self._start), label)
         store(self, "spec", spec)
         self._check_values()
+        if inspect.isfunction(plain := _plain(law)):
+            _MADE.add(plain)
 
     def _check_values(self) -> None:
         coefficients = self.coefficients
@@ -384,6 +387,14 @@ def effect_named(text: str, name: str) -> Effect:
     return Effect(kind, place)
 
 
+_MADE: WeakSet[Callable[..., Any]] = WeakSet()  # functions of which this process has made an effect
+
+
+def _plain(law: Any) -> Any:
+    """Return the function that numba compiled, or the law itself."""
+    return inspect.getattr_static(law, "py_func", law)
+
+
 def import_path(effect: Effect) -> str:
     """Name of an effect's own law as ``"module:qualname"``.
 
@@ -414,8 +425,8 @@ def law_here(path: str, label: str) -> Any:
     """Return the law that `import_path` named, from imported modules.
 
     A file decides which function is called, and with which values. Therefore nothing is imported for it, and
-    only functions and laws that a module itself defines are returned: no lazy attribute, nothing that it
-    imported, nothing of Python's library or of this package.
+    only functions of which this process has made an effect, and laws, that a module itself defines, are
+    returned: no lazy attribute, nothing that it imported, nothing of Python's library or of this package.
 
     Parameters
     ----------
@@ -438,13 +449,13 @@ def law_here(path: str, label: str) -> Any:
     for part in name.split("."):
         found = inspect.getattr_static(found, part, None)
         found = found.__func__ if isinstance(found, staticmethod) else found
-    plain = inspect.getattr_static(found, "py_func", found)  # of what numba compiled
-    ours = inspect.isfunction(plain) or (isinstance(plain, type) and issubclass(plain, Law))
+    plain = _plain(found)
+    ours = plain in _MADE if inspect.isfunction(plain) else isinstance(plain, type) and issubclass(plain, Law)
     library = module.split(".")[0] in sys.stdlib_module_names | {__name__.split(".")[0]}
     if library or not ours or (plain.__module__, plain.__qualname__) != (module, name):
         raise ModelError(
-            f"the law of {label!r} was saved as {path}, and loading a file imports nothing: pass "
-            f"laws={{{label!r}: law}}, or import its module first if you trust it"
+            f"the law of {label!r} was saved as {path}, and a file neither imports a module nor calls a "
+            f"function that is no law in this process: pass laws={{{label!r}: law}}"
         )
     return found
 

@@ -318,8 +318,8 @@ class RCORefiner(Result):
         path : path-like
             File.
         laws : mapping of str to callable, optional
-            Laws of your own by the label of the effect. Others are taken from modules that are
-            imported already: loading imports none.
+            Laws of your own by the label of the effect. Default: those of which this process has
+            made an effect already. Loading imports no module.
 
         Returns
         -------
@@ -331,7 +331,7 @@ class RCORefiner(Result):
         DataError
             If the file is damaged, none of a refiner, or of another version.
         ModelError
-            If a law of your own is neither given nor in a module that is imported.
+            If a law of your own is neither given nor one of this process.
 
         Examples
         --------

@@ -319,8 +319,8 @@ class Monitor(Result):
         path : path-like
             File.
         laws : mapping, optional
-            Laws of your own by the label of the effect. Others are taken from modules that are
-            imported already: loading imports none.
+            Laws of your own by the label of the effect. Default: those of which this process has
+            made an effect already. Loading imports no module.
 
         Returns
         -------
@@ -332,7 +332,7 @@ class Monitor(Result):
         DataError
             If the file is none of a monitor, or damaged.
         ModelError
-            If a law of your own is neither given nor in a module that is imported.
+            If a law of your own is neither given nor one of this process.
         """
         with damaged(path):
             return restored(cls, read_file(path, laws, "monitor"))
