@@ -25,6 +25,7 @@ from ..inference.fitted import FittedModel, fitted_from
 from ..inference.levels import levels
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
+from ..inference.whitening import RESOLUTION
 from ..models.library import effect_library, reads_rate, zero_entries
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
@@ -136,11 +137,13 @@ class Case:
     def passes(self, tests: Sequence[FTest], fitted: FittedModel) -> bool:
         """Return whether the residual of a model is noise.
 
-        A residual of frequency responses passes, too, if it is no larger than their numerical error.
+        A residual passes, too, if it is no larger than the numerical error.
         """
         left, records = np.concatenate(fitted.residuals(), axis=1), fitted.problem.records
         whole = fitted.problem.weights[:, None] * np.concatenate([r.outputs for r in records], axis=1)
-        if not self.in_time and (np.sum(left**2, axis=1) <= _SOLVED**2 * np.sum(whole**2, axis=1)).all():
+        whole = whole - self.in_time * whole.mean(axis=1, keepdims=True)
+        least = RESOLUTION if self.in_time else _SOLVED
+        if (np.sum(left**2, axis=1) <= least**2 * np.sum(whole**2, axis=1)).all():
             return True
         return passes(tests, self.excess(fitted), self.significance, self.levels)
 

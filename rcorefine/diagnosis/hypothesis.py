@@ -26,6 +26,7 @@ from .residual_tests import TestedResidual
 #: Prior probability of each relative standard deviation (spread) of the parameters.
 SPREADS = {0.05: 0.6, 0.2: 0.3, 1.0: 0.1}
 _FINE = 8  # times the substeps: what a delayed edge does between samples depends on them
+_EXACT = 0.1  # of its noise, below which a residual is that of the arithmetic
 _EQUAL = 0.01  # difference of the outputs of equal hypotheses, as a share of their change
 
 
@@ -430,7 +431,8 @@ def evidence(
     apply = noise.whitener.apply
     left = apply([w * r for w, (r, _) in zip(weights, blocks, strict=True)])
     base = apply([w * r for w, r in zip(weights, before, strict=True)])
-    scale = np.sqrt(float(left @ left) / len(left)) or 1.0  # rounding noise has another scale
+    scale = np.sqrt(float(left @ left) / len(left))  # rounding noise has another scale
+    scale = scale if scale > _EXACT else 1.0
     left, base = left / scale, base / scale
     white = [apply([w[:, :, None] * j]) / scale for w, (_, j) in zip(weights, blocks, strict=True)]
     size = trial.size = float(np.sqrt(max(float(base @ base) - float(left @ left), float((p - p0) or 1))))

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import gammaln, ndtr
 
 from ..inference.levels import Levels, levels
-from ..inference.whitening import Whitener, autoregression, innovations
+from ..inference.whitening import RESOLUTION, Whitener, autoregression, innovations
 from ..results import frequency_text
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
@@ -84,6 +84,12 @@ class Residual:
         return 0.5 * float(np.log(self.left.size))
 
     @cached_property
+    def floor(self) -> float:
+        """Return the variance of the arithmetic, the only noise of an exact record."""
+        resolved = RESOLUTION * float(np.std(self.measured)) * (self.most != 0)
+        return max(resolved**2, 1e-300)
+
+    @cached_property
     def colored(self) -> tuple[float, Array, float]:
         """Return log-likelihood, filter and variance of the autoregressive model."""
         return self.autoregressive(self.left)
@@ -96,9 +102,9 @@ class Residual:
         n = row.size
         a, variance = autoregression(row, most=self.most, price=2.0 * self.price)
         a, variance = autoregression(row, order=a.size - 1)  # on all samples
-        variance = max(variance, 1e-300)
-        value = -0.5 * n * (float(np.log(2 * np.pi * variance)) + 1.0) - (a.size - 1) * self.price
-        return value, a, variance
+        level = max(variance, self.floor)
+        value = -0.5 * n * (float(np.log(2 * np.pi * level)) + variance / level) - (a.size - 1) * self.price
+        return value, a, level
 
 
 def _autoregressive(residual: Residual) -> NoiseFit:
@@ -120,11 +126,11 @@ def _heavy_tailed(dof: float, residual: Residual) -> NoiseFit | None:
     _, a, _ = residual.colored
     row = residual.left
     e = innovations(a, row - row.mean())[a.size - 1 :]
-    scale = float(np.median(e**2)) / _MEDIAN + 1e-300
+    scale = float(np.median(e**2)) / _MEDIAN + residual.floor
     w = np.ones(e.size)
     for _ in range(30):
         w = (dof + 1) / (dof + e**2 / scale)
-        before, scale = scale, float(np.mean(w * e**2)) + 1e-300
+        before, scale = scale, float(np.mean(w * e**2)) + residual.floor
         if abs(scale - before) < 1e-6 * scale:
             break
     constant = gammaln((dof + 1) / 2) - gammaln(dof / 2) - 0.5 * np.log(dof * np.pi * scale)

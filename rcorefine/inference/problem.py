@@ -23,7 +23,7 @@ from ..engine.initial_state import brief_modes
 from ..engine.structure import Structure
 from ..gauss_newton import Bordered, Rows, gauss_newton, promised
 from ..systems.linear import Array
-from .whitening import Whitener
+from .whitening import RESOLUTION, Whitener
 
 
 class Coordinates:
@@ -165,8 +165,17 @@ class Problem:
         return Problem(structure, records or self.records, **{**given, **changes})
 
     def whitener(self, residuals: Sequence[Array]) -> Whitener:
-        """Filter of residuals, of at most the order `color`."""
-        return Whitener.fit(residuals, most=self.color)
+        """Filter of residuals, of at most the order `color`.
+
+        No innovation is smaller than the resolution of an output: an exact record has no other noise.
+        """
+        return Whitener.fit(residuals, most=self.color, floor=self._resolution)
+
+    @cached_property
+    def _resolution(self) -> Array:
+        """Resolution of each output in units of the weights, 0 for responses."""
+        outputs = np.concatenate([record.outputs for record in self.records], axis=1)
+        return np.asarray(RESOLUTION * self.in_time * self.weights * outputs.std(axis=1))
 
     @property
     def color(self) -> int | None:

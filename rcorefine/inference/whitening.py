@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 from scipy.linalg import cholesky, solve_triangular
 
 from ..exceptions import DataError
 from ..systems.linear import Array
 
+#: Share of an output's standard deviation below which a residual in time is that of the arithmetic.
+RESOLUTION = 1e-6
 _HUBER = 1.345  # times the standard deviation; of normal noise 95 % of the efficiency is kept
 _HEAVY = 5.0  # excess kurtosis, in its standard deviations, from which samples count as unequally noisy
 
@@ -64,7 +66,7 @@ class Whitener:
         *,
         order: int | None = None,
         most: int | None = None,
-        floor: float = 0.0,
+        floor: ArrayLike = 0.0,
     ) -> Whitener:
         """Filters from residuals, each of shape (n_y, N).
 
@@ -74,11 +76,11 @@ class Whitener:
             One for each record.
         order, most : int, optional
             As of `autoregression`.
-        floor : float
+        floor : float or array_like of shape (n_y,)
             Standard deviation below which an innovation is rounding.
         """
         models = [autoregression(row, order=order, most=most) for row in np.concatenate(residuals, axis=1)]
-        scales = np.sqrt([variance + floor**2 for _, variance in models])
+        scales = np.hypot(np.sqrt([variance for _, variance in models]), floor)
         return cls(tuple(a for a, _ in models), np.where(scales > 0, scales, 1.0))
 
     @property
