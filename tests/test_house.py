@@ -32,13 +32,13 @@ ORDER = (
 )  # fmt: skip
 
 
-#: Lines of code (no docstring, comment, blank) of each top-level folder, and of the files beside them.
+#: Tokens of code (no docstring, comment, line end) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 833, "arguments": 250, "commands": 1158, "comparison": 2258, "data": 2449, "diagnosis": 5374,
-    "effects": 2962, "engine": 3410, "examples": 258, "exercises": 529, "explorer": 1057, "export": 480,
-    "fleet": 1004, "inference": 2733, "localization": 1195, "models": 3472, "refinement": 176,
-    "streaming": 6683, "systems": 587, "views": 3634,
+    ".": 7811, "arguments": 2156, "commands": 8295, "comparison": 27834, "data": 24411, "diagnosis": 63907,
+    "effects": 29143, "engine": 43267, "examples": 2261, "exercises": 5063, "explorer": 11522, "export":
+    5424, "fleet": 10352, "inference": 31985, "localization": 13093, "models": 39700, "refinement": 1823,
+    "streaming": 72637, "systems": 5887, "views": 41135,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.
@@ -195,25 +195,22 @@ def test_no_text_uses_house_words():
     assert found == []
 
 
-def code_lines(node: ast.AST, text: str) -> int:
-    """Lines of code of a module or function: no docstring, no comment, no blank."""
+_SILENT = frozenset({
+    tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER,
+})  # fmt: skip
+
+
+def code_tokens(node: ast.AST, text: str) -> list[tokenize.TokenInfo]:
+    """Tokens of code of a module or function: no docstring, no comment, no line end."""
     first = getattr(node, "lineno", 1)
     source = "\n".join(text.split("\n")[first - 1 : getattr(node, "end_lineno", None)])
-    silent = {
-        tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER,
-    }  # fmt: skip
-    lines = {
-        line
-        for token in tokenize.generate_tokens(io.StringIO(textwrap.dedent(source)).readline)
-        if token.type not in silent
-        for line in range(token.start[0], token.end[0] + 1)
-    }
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    prose: set[int] = set()
     for inner in ast.walk(node):
         if isinstance(inner, documented) and ast.get_docstring(inner, clean=False) is not None:
-            text_of = inner.body[0]
-            lines -= set(range(text_of.lineno - first + 1, text_of.end_lineno - first + 2))
-    return len(lines)
+            prose |= set(range(inner.body[0].lineno - first + 1, inner.body[0].end_lineno - first + 2))
+    tokens = tokenize.generate_tokens(io.StringIO(textwrap.dedent(source)).readline)
+    return [token for token in tokens if token.type not in _SILENT and token.start[0] not in prose]
 
 
 def functions() -> list[tuple[str, ast.FunctionDef, str]]:
@@ -229,15 +226,25 @@ def functions() -> list[tuple[str, ast.FunctionDef, str]]:
 def test_no_folder_holds_more_code_than_its_budget():
     counted: Counter[str] = Counter()
     for file, (text, tree) in files().items():
-        counted[file.split("/")[0] if "/" in file else "."] += code_lines(tree, text)
+        counted[file.split("/")[0] if "/" in file else "."] += len(code_tokens(tree, text))
     over = {
         folder: f"{n} > {BUDGET.get(folder, 0)}" for folder, n in counted.items() if n > BUDGET.get(folder, 0)
     }
     assert over == {}
     loose = {
-        folder: f"{counted[folder]} < {n} - 50" for folder, n in BUDGET.items() if counted[folder] < n - 50
+        folder: f"{counted[folder]} < {n} - 500" for folder, n in BUDGET.items() if counted[folder] < n - 500
     }
     assert loose == {}, "lower the budget to what is there"
+
+
+def test_no_two_classes_have_the_same_name():
+    """A name that means two things in one package is looked up in the wrong file."""
+    places: dict[str, list[str]] = {}
+    for file, (_, tree) in files().items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(file)
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
 def test_no_more_complex_functions():
@@ -272,7 +279,11 @@ def test_no_more_tiny_helpers():
         )
         for node in ast.walk(tree):
             private = isinstance(node, ast.FunctionDef) and re.match(r"_[^_]", node.name)
-            if private and names[node.name] == 1 and code_lines(node, text) < 6:
+            if (
+                private
+                and names[node.name] == 1
+                and len({token.start[0] for token in code_tokens(node, text)}) < 6
+            ):
                 found.append(f"{file}: {node.name}")
     assert len(found) <= TINY, "\n".join(found)
 
