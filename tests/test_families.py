@@ -215,14 +215,16 @@ def test_a_delay_at_either_end_of_one_path_is_one_hypothesis(rng):
 
 def test_what_one_record_alone_cannot_distinguish_stays_two_hypotheses(rng):
     """Stiffness and mass are the same at one frequency, not at others."""
-    t = 0.02 * np.arange(1500)
-    w = np.sin(7.0 * t)
-    plant = ct.ss([[0, 1], [-110, -0.8]], [[0], [1]], [[1, 0]], 0)
-    y = ct.forced_response(plant, t, w).outputs
-    y = y + 0.02 * y.std() * rng.standard_normal(t.size)
+    w = np.sin(7.0 * 0.02 * np.arange(1500))
+    plant = ct.ss([[0, 1], [-102, -0.8]], [[0], [1]], [[1, 0]], 0)
+    y = np.imag(plant(7.0j) * np.exp(7.0j * 0.02 * np.arange(1500)))
+    y = y + 0.02 * y.std() * rng.standard_normal(w.size)
     laws = [rco.Effect(kind, "link1") for kind in ("stiffness", "mass")]
     model = rco.mass_spring_damper([1.0], [0.8], [100.0])
-    found = rco.diagnose(model, rco.Measurement(w, y, dt=0.02, hold="foh"), candidates=laws)
+    found = rco.diagnose(model, rco.Measurement(w, y, dt=0.02, hold="bandlimited"), candidates=laws)
+    assert found.verdict == "ambiguous"
+    assert set(found.ambiguous) >= set(laws)
+    assert "suggest_experiment" in str(found)
     assert all(row.same == () for row in found.ranking)
 
 
@@ -301,3 +303,18 @@ def test_a_rim_below_every_level_is_no_rival_of_a_loss():
     # volts per ampere over what one unit of duty puts across the choke; and the text says so
     assert found.best.coefficients["damping"] == pytest.approx(lost / volts, rel=0.02)
     assert f"storage {choke / volts:.4g} from the input d" in str(found).replace("\n", " ")
+
+
+def test_every_estimate_that_carries_an_answer_is_printed(rng):
+    """A speed whose zero is 13.2 m/s off, and a friction: the offset stands beside the friction."""
+    model, dt = ct.ss([[-0.5]], [[1.0]], [[1.0]], 0, states=["v"], inputs="F", outputs="speed"), 0.05
+    w, x, speed = 3.0 * np.repeat(rng.standard_normal(120), 10) + 2.0, 0.0, []
+    for force in w:
+        speed.append(x)
+        for _ in range(20):
+            x += dt / 20 * (force - 0.5 * x - 0.8 * np.tanh(x / 0.01))
+    y = np.array(speed) - 13.2 + 0.01 * np.std(speed) * rng.standard_normal(w.size)
+    data, laws = rco.Measurement(w, y, dt=dt), [rco.Effect("coulomb_friction", "v")]
+    for found in (rco.diagnose(model, data, candidates=laws), rco.improve(model, data, candidates=laws)):
+        said = " ".join(str(found).split())
+        assert "offset of -13.2 at speed" in said or "offset at speed 0 -> -13." in said

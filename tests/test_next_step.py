@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import control as ct
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
 
 import rcorefine as rco
@@ -11,13 +13,13 @@ from tests.public_calls import EFFECT, diagnosis, improvement, model, nameless, 
 
 
 def ambiguous():
-    """Two names for one thing: a gain of the only input and one of the only output."""
-    louder = rco.Measurement(record().inputs / 1.2, record().outputs, dt=record().dt)
-    offered = [
-        rco.Effect("input_gain", model().linear.input_labels[0]),
-        rco.Effect("output_gain", model().linear.output_labels[0]),
-    ]
-    return rco.diagnose(model(), louder, candidates=offered)
+    """Stiffness and mass at one frequency."""
+    turning = np.exp(7.0j * 0.02 * np.arange(1500))
+    y = np.imag(ct.ss([[0, 1], [-102, -0.8]], [[0], [1]], [[1, 0]], 0)(7.0j) * turning)
+    y += 0.02 * y.std() * np.random.default_rng(0).standard_normal(y.size)
+    sine = rco.Measurement(turning.imag, y, dt=0.02, hold="bandlimited")
+    offered = [rco.Effect(kind, "link1") for kind in ("stiffness", "mass")]
+    return rco.diagnose(rco.mass_spring_damper([1.0], [0.8], [100.0]), sine, candidates=offered)
 
 
 def of_points():

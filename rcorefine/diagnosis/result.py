@@ -14,6 +14,7 @@ from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..exceptions import IdentifiabilityWarning, ModelError, unheard
 from ..inference.f_tests import FTest
+from ..inference.levels import levels
 from ..inference.refinement import EstimatedParameter, Refinement
 from ..results import Look, Options, Reported, ReportedModel, Row, picture, show, with_error
 from ..systems.linear import Array
@@ -503,10 +504,11 @@ class Improvement(ReportedModel):
     def _estimates(self) -> list[str]:
         """Return a sentence on the estimates of the last model.
 
-        The list is empty where the table holds all of them.
+        Offsets are among them where they differ from zero. The list is empty where the table holds all.
         """
-        rows = [row for row in self.refinement.parameters if row.role != "offset"]
-        if len(rows) < 2 and not any(row.role == "linear" for row in rows):
+        every, least = self.refinement.parameters, levels().moved
+        rows = [r for r in every if r.role != "offset" or abs(r.coefficient) > least * r.std]
+        if len(rows) < 2 and all(row.role == "effect" for row in rows):
             return []
         told = [f"{r.name} at {r.place} {r.initial:g} -> {with_error(r.value, r.std, r.unit)}" for r in rows]
         return [f"Estimates of the last model, initial -> value +/- std: {'; '.join(told)}."]

@@ -64,7 +64,7 @@ def sentences(found: Diagnosis) -> list[str]:
         lines += [f"Smallest effects that it would show (95 % probability): {shown}."] if shown else []
     elif worst is not None:  # without motion nothing could be tested
         lines += [*_open_law(found), *_tests(found, worst), *_meaning(found)]
-    lines += [*_other_names(found), *_other_forces(found)]
+    lines += [*_other_names(found), *_offsets(found), *_other_forces(found)]
     if found.verdict == "ambiguous" and sum(row.alike for row in found.ranking) != 1:
         lines.append(
             "More outputs, a wider band or another amplitude would distinguish them."
@@ -81,6 +81,15 @@ def _other_names(found: Diagnosis) -> list[str]:
     same = found.best.same if found.best is not None and found.effects else ()
     names = ", ".join(map(_estimated, same))
     return [f"For these inputs and outputs it is the same change as {names}."] if names else []
+
+
+def _offsets(found: Diagnosis) -> list[str]:
+    """Return the offsets that the named model includes."""
+    if found.verdict == "adequate":  # they are told with what else was absorbed
+        return []
+    named = found.best.refinement if found.best is not None and found.effects else found.base
+    rows = [r for r in (found.floated or named).parameters if r.role == "offset" and _moved(r)]
+    return [f"The fit includes {', '.join(map(_one, rows))}."] if rows else []
 
 
 def _other_forces(found: Diagnosis) -> list[str]:
