@@ -305,8 +305,62 @@ def test_the_growth_of_an_error_is_that_of_two_runs_side_by_side():
     for start in (np.array([1e-7, 0.0]), np.array([0.0, 1e-7])):
         by.append((rco.simulate(model, data, start).states - run.states)[:, -1] / 1e-7)
     growth = observer.growth(model, run.states, data)
-    assert np.log(np.linalg.norm(by, 2)) < growth + 0.1  # the largest, which need not be at the end
+    # the slopes are 1 and that of the pull: in units of the speed of their ratio both are equally large
+    slope = 9.81 / PENDULUM["l"] * np.cos(run.states[0])
+    units = np.array([1.0, np.mean(slope**2) ** 0.25])
+    at_end = np.array(by).T * units / units[:, None]
+    assert np.log(np.linalg.norm(at_end, 2)) < growth + 0.1  # the largest, which need not be at the end
     assert observer.steadying_ratio(model, record(seed=1, n=300)) is None
+
+
+def airplane(unit):
+    """Speed, angle of attack, pitch and its rate of a light airplane, the speed in `unit` m/s: stable."""
+
+    def rates(t, x, u, params):
+        speed, attack, pitch, rate = max(unit * x[0], 5.0), *x[1:]
+        pressure, thrust = 9.6 * speed**2, 1313.0
+        lift, path = 0.4 + 5.0 * attack, pitch - attack
+        turned = pressure * lift + thrust * np.sin(attack)
+        ahead = thrust * np.cos(attack) - pressure * (0.03 + 0.05 * lift**2)
+        moment = -0.8 * attack - 9.0 * rate / speed - 1.1 * u[0]
+        return np.array([
+            (ahead / 1200 - 9.81 * np.sin(path)) / unit,
+            rate - turned / (1200 * speed) + 9.81 / speed * np.cos(path), rate, pressure * moment / 1200,
+        ])  # fmt: skip
+
+    names = ["V", "alpha", "theta", "q"]
+    return ct.nlsys(
+        rates, lambda t, x, u, p: x[[0, 2, 3]], states=names, inputs=["e"], outputs=[*names[::2], "q"]
+    )
+
+
+def test_a_stable_motion_is_not_chaotic_in_any_unit():
+    e = 0.02 * np.repeat(np.random.default_rng(0).standard_normal(20), 40)
+    grown = []
+    for unit in (0.01, 1.0, 100.0):
+        plane = airplane(unit)
+        states, inputs = ct.find_operating_point(plane, [60.0 / unit, 0.02, 0.02, 0.0], [0.0])[:2]
+        assert np.linalg.eigvals(ct.linearize(plane, states, inputs).A).real.max() < 0
+        run = ct.input_output_response(plane, 0.1 * np.arange(e.size), e, states, squeeze=False)
+        data = rco.Measurement(e, run.outputs, dt=0.1, input_labels="e", output_labels=["V", "theta", "q"])
+        model = rco.physical(plane)
+        point = model.operating_point
+        data = data.deviation(point.inputs, point.outputs)
+        grown.append(observer.growth(model, run.states - np.array(point.states)[:, None], data))
+        assert observer.steadying_ratio(model, data) is None
+    np.testing.assert_allclose(grown, grown[0], rtol=1e-3)
+
+
+def test_a_given_horizon_is_obeyed_where_the_motion_is_chaotic():
+    data, whole = wild(5), {"horizon": 1000 * DT}
+    assert rco.compare(pendulum(), data).led
+    free = rco.compare(pendulum(), data, **whole)
+    assert not free.led
+    start = rco.physical(pendulum()).operating_point
+    assert start is not None
+    run = rco.simulate(pendulum(), data, free.initial_states[0][0])
+    np.testing.assert_allclose(free.runs[0, 0], run.outputs[0], atol=1e-6)
+    assert "chaotic" not in rco.refine(pendulum(), data, **whole).message
 
 
 def test_a_chaotic_motion_is_judged_one_sample_ahead():

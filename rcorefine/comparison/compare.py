@@ -12,7 +12,7 @@ from ..arguments import as_state
 from ..data.channels import Channels, aligned, match_channels, record_for, resting_inputs, with_outputs
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
-from ..data.records import as_record
+from ..data.records import FreeRun, as_record
 from ..data.response_record import in_frequency
 from ..effects.given import Table, share_beyond
 from ..engine.controlled import as_it_runs, checked_horizon, free_runs, runs_away
@@ -162,6 +162,8 @@ def _on_record(
         if hold != data.hold
     ]
     given.check_excitation("compare")
+    if horizon is not None:
+        data = data._changed(FreeRun)
     hidden = 0  # first samples that a delay hides from one of the models
     if estimated:
         seen = [record_for(data, where) for where in channels]

@@ -704,12 +704,12 @@ class Measurement(Result, RecordReaders):
             elapsed=self.elapsed + self.dt * range(self.n_samples)[where][0],
         )
 
-    def _changed(self, **changes: Any) -> Self:
-        """The record with some of its fields otherwise."""
+    def _changed(self, kind: Any = None, **changes: Any) -> Self:
+        """The record with some of its fields otherwise, or as one of another class."""
         values = {name: getattr(self, name) for name in _FIELDS} | changes
         if np.shape(values["inputs"])[0] == 0:
             values["inputs"] = _UNDRIVEN
-        return type(self)(**values)
+        return type(self)(**values) if kind is None else kind(**values)
 
     @picture
     def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:

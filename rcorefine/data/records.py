@@ -69,6 +69,10 @@ def as_records(data: Any, name: str = "data") -> list[Measurement]:
     return records
 
 
+class FreeRun(Measurement):
+    """Record whose simulation was asked for (`horizon`): no observer corrects it."""
+
+
 def at_rest(records: Sequence[Measurement]) -> bool:
     """Return whether no input changes in any record (free decays)."""
     return not any(np.ptp(record.inputs, axis=1).any() for record in records)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ..data.measurement import Measurement
+from ..data.records import FreeRun
 from ..exceptions import ModelError
 from ..models.physical_model import PhysicalModel
 from ..systems.discretization import exponential
@@ -217,10 +218,13 @@ def _finite_horizon(F: Array, H: Array, Q: Array, R: Array) -> Array:
 
 #: Unknown force over the measured one: at less, what sticks and slips would count to its last digit.
 _QUIET = 0.03
-_REGULAR = 4.0  # log: a regular motion drifts in phase, and gains one or two; over the top it is five or more
+_REGULAR = (
+    2.0  # log: a regular motion gains at most one; over the top, or between two wells, it is three or more
+)
 _FORCES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # unknown over measured: the least that holds the motion
 _DIES_OUT = 1e-3  # share of its largest effect to which an error of the start is to fall
 _FOLLOWS = 5.0  # times the error of the strongest observer: more, and the motion is lost
+_BALANCED = 30  # sweeps over the states
 _LARGEST = 30.0  # log of a growth: beyond, nothing more is learned
 _KEPT = 64
 _KNOWN: dict[tuple[int, float, bytes, bytes], tuple[object, float | None]] = {}
@@ -255,15 +259,15 @@ def leading_gain(structure: Structure, data: Measurement) -> Array | None:
 def leading_ratio(model: PhysicalModel, data: Measurement) -> float | None:
     """Return the ratio of `observer_gain` for a model without a free run.
 
-    It is None for a model that has a free run. Under a controller, a model that integrates also gets an
-    observer, since it would need windows otherwise. The free run of the loop is unbiased as well, but its
-    residual is noise that the loop has colored and made stronger.
+    It is None for a model that has a free run, and for a chaotic one whose free run was asked for. Under a
+    controller, a model that integrates also gets an observer, since it would need windows otherwise. The
+    free run of the loop is unbiased as well, but its residual is noise that the loop has colored and made
+    stronger.
     """
     if runs_away(model.linear, data) or (model.controller is not None and integrates(model.linear, data)):
         return _QUIET
-    if model.operating_point is None or model.operating_point.field is None:
-        return None
-    return steadying_ratio(model, data)
+    chaotic = model.operating_point is not None and model.operating_point.field is not None
+    return steadying_ratio(model, data) if chaotic and not isinstance(data, FreeRun) else None
 
 
 def steadying_ratio(model: PhysicalModel, record: Measurement) -> float | None:
@@ -309,7 +313,8 @@ def _sought(bare: Structure, record: Measurement) -> float | None:
 def growth(model: PhysicalModel, states: Array, record: Measurement) -> float:
     """Return the logarithm of the largest growth of a state error.
 
-    The error grows from one sample to a later one, along given states.
+    The error grows from one sample to a later one, along given states. The states are scaled so that the mean
+    of their slopes is balanced (Osborne, J. ACM 7 (1960) 338): their units do not matter.
 
     Parameters
     ----------
@@ -324,8 +329,10 @@ def growth(model: PhysicalModel, states: Array, record: Measurement) -> float:
     assert field is not None
     along = np.vstack([states[:n], record.inputs]).T
     slopes = np.array([field.slopes(field.nominal, z)[:n, :n] for z in along])
+    A = model.linear.A + np.nan_to_num(slopes)
+    scale = _balancing(np.sqrt(np.mean(A**2, axis=0)))
     error, total, least, most = np.eye(n), 0.0, 0.0, 0.0
-    for step in exponential((model.linear.A + np.nan_to_num(slopes)) * record.dt):
+    for step in exponential(A / scale[:, None] * scale * record.dt):
         error = step @ error
         size = float(np.linalg.norm(error, 2))
         if not 0.0 < size < np.inf:
@@ -336,3 +343,17 @@ def growth(model: PhysicalModel, states: Array, record: Measurement) -> float:
         if most > _LARGEST:
             break
     return most
+
+
+def _balancing(A: Array) -> Array:
+    """Return the units of the states in which rows and columns of A are equally large."""
+    scale, size = np.ones(len(A)), A - np.diag(np.diag(A))
+    for _ in range(_BALANCED):
+        for i in range(len(A)):
+            row, column = np.linalg.norm(size[i]), np.linalg.norm(size[:, i])
+            if row > 0.0 and column > 0.0:
+                factor = np.sqrt(row / column)
+                size[i] /= factor
+                size[:, i] *= factor
+                scale[i] *= factor
+    return scale

@@ -14,7 +14,7 @@ import numpy as np
 from ..arguments import as_flag, as_list, as_noise, as_number, shown
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
-from ..data.records import as_records
+from ..data.records import FreeRun, as_records
 from ..data.response_record import ResponseRecord, as_responses, in_frequency, some_lines
 from ..effects.channels import InputOffset, OutputOffset
 from ..effects.effect import Effect, as_effects
@@ -310,6 +310,8 @@ def windows(
     """
     if in_frequency(records):
         return records, " ".join(dict.fromkeys(record.note for record in records if record.note))
+    if horizon is not None:
+        records = [r._changed(FreeRun) for r in records]
     cuts, note = free_runs([as_it_runs(physical, r) for r in records], records, horizon, known_start)
     if len(cuts[0]) == 1 and not note and any(leading_ratio(physical, r) is not None for r in records):
         note = _PREDICTED if physical.controller is None else _LOOPED
