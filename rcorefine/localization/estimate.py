@@ -37,7 +37,7 @@ _DOUBLE = (-0.35, -0.7)
 _MOST_PAIRS = 600
 _BEST = 6  # of the grid are descended from
 _BEAM = 5  # sets of each size that grow on
-_LEAST_COHERENCE = 0.1
+_LEAST_COHERENCE = 0.4  # of noise, in 99 of 100 frequencies: the record makes about ten averages
 
 
 class _Spectrum:
