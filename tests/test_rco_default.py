@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pickle
 import signal
@@ -13,6 +14,8 @@ import control as ct
 import numpy as np
 import pytest
 from scipy.linalg import expm
+from scipy.signal import cont2discrete, dlsim
+from scipy.stats import binom
 
 import rcorefine as rco
 from rcorefine import RCORefiner
@@ -573,3 +576,39 @@ def test_both_stages_are_seen_in_the_history():
     assert paper.history.poles.shape[0] == 2
     assert paper.history.plot().axes.shape == (3, 1)
     assert np.isfinite(paper.standard_deviations).all()
+
+
+def circuit_of(f):
+    R, L, C = 2.0 * f[0], 0.5 * f[1], 0.02 * f[2]
+    return [[-R / L, -1 / L], [1 / C, 0.0]], [[1 / L], [0.0]], [[0.0, 1.0]], 0.02
+
+
+def motor_of(f):
+    inertia, drag, torque = 0.01 * f[0], 0.1 * f[1], 0.2 * f[2]
+    return [[-drag / inertia, torque / inertia], [-torque / 0.05, -20.0]], [[0.0], [20.0]], [[1.0, 0.0]], 0.01
+
+
+def oscillator_of(f):
+    return [[0.0, 1.0], [-40.0 * f[0], -0.8 * f[1]]], [[0.0], [f[2]]], [[1.0, 0.0]], 0.02
+
+
+def test_intervals_of_entries_hold_the_true_ones():
+    """Of 95 percent, also where one sensor determines the entries only together."""
+    inside = count = 0
+    for plant, seed in itertools.product((circuit_of, motor_of, oscillator_of), range(4)):
+        rng = np.random.default_rng([seed, 17])
+        *true, dt = plant(1.0 + 0.15 * rng.standard_normal(3))
+        *nominal, _ = plant(np.ones(3))
+        w = np.repeat(rng.standard_normal(300), 5)
+        D = np.zeros((1, 1))
+        y = dlsim((*cont2discrete([*map(np.array, true), D], dt)[:4], dt), w)[1][:, 0]
+        refiner = RCORefiner(ct.ss(*nominal, 0), dt=dt)
+        refiner.update(w, y + 0.02 * y.std() * rng.standard_normal(y.size))
+        for row in refiner.parameters:
+            matrix, i, j = true["ABC".index(row.name[0])], *map(int, row.name[2:-1].split(","))
+            inside += abs(row.value - matrix[i][j]) < 1.96 * row.std
+            count += 1
+        if plant is circuit_of:
+            assert "Determined only together: A[0,1], B[0,0], A[1,0]." in " ".join(str(refiner).split())
+    assert count > 40
+    assert binom.cdf(inside, count, 0.95) > 0.001

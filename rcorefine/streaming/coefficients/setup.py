@@ -273,6 +273,13 @@ class Setup(ABC):
         """Covariance of the coefficients before the first sample, shape (p, p)."""
         return np.diag(spread**2)
 
+    def held_covariance(self, spread: Array) -> Array:
+        """Return the part of the prior along which the coefficients are held.
+
+        It is no part of `prior_covariance`: no sample changes it.
+        """
+        return np.asarray(np.diag(spread**2) - self.prior_covariance(spread))
+
     def renewed(self, memory: CoefficientMemory) -> CoefficientMemory:
         """Return a memory that no longer trusts its state.
 
@@ -367,6 +374,13 @@ def cautions(setup: Setup, memory: CoefficientMemory) -> list[str]:
     blind = [
         name for name, one, prior in zip(names, std, memory.spread, strict=True) if one > _UNLEARNED * prior
     ]
+    held = np.diag(setup.held_covariance(memory.spread))
+    together = [name for name, one, of in zip(names, std, held, strict=True) if of > one**2]
+    if together:
+        found.append(
+            f"Determined only together: {', '.join(together)}. What no sample changes is held "
+            "at the initial model, and std is that of its prior."
+        )
     if blind:
         found.append(f"Not excited: the samples hardly determine {', '.join(blind)}; excite or omit it.")
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -611,12 +625,13 @@ class CoefficientFilter:
     def covariance(self) -> Array:
         """Covariance of the coefficients, shape (p, p).
 
-        It is infinite before anything is learned.
+        It is infinite before anything is learned. Where coefficients are held, it is that of their prior.
         """
         found = self.setup.layout.view(self.memory.packed, "Pt").copy()
         if not found.any():
             found[np.diag_indices_from(found)] = np.inf
-        return found
+            return found
+        return np.asarray(found + self.setup.held_covariance(self.memory.spread))
 
     @property
     def standard_deviations(self) -> Array:
