@@ -66,6 +66,8 @@ class Case:
         Candidates that the model does not hold.
     levels : Levels
         Of the decisions.
+    cut : bool
+        Whether the free runs are windows of the records.
 
     Raises
     ------
@@ -96,6 +98,7 @@ class Case:
                     f"give at least {least}{' (real and imaginary parts count)' if least == _FEWEST else ''}"
                 )
         segments, _ = windows(physical, ordered, settings["horizon"])
+        self.cut = len(segments) > len(ordered)
         fitted = fitted_from(base, segments, tolerance=settings["tolerance"], noise=settings["noise"])
         self.fitted = fitted
         self.motions = [estimated_motion(fitted.structure, fitted.theta, record) for record in segments]

@@ -16,6 +16,7 @@ from ..data.channels import match_channels
 from ..data.measurement import Measurement
 from ..data.records import as_record
 from ..effects.effect import Effect, as_effects
+from ..engine.controlled import integrates
 from ..exceptions import DataError, DivergenceError, own_arithmetic, unheard
 from ..inference.levels import levels
 from ..inference.sensitivities import candidate_columns
@@ -112,7 +113,7 @@ def check(
         stopped = any(row.status == STOP for row in rows)
         shown = _shown(model, record) if information and not stopped else ()
         own = () if effects is None or stopped else _own(model, record, as_effects(effects, "effects"))
-    rows += _information_rows(shown, as_physical(model) if shown else None)
+    rows += _information_rows(shown, as_physical(model), record) if shown else []
     rows += [_against(effect, found) for effect, found in own]
     return Check(tuple(rows), shown)
 
@@ -247,13 +248,14 @@ def _shown(model: Any, data: Measurement, effects: Sequence[Effect] | None = Non
     return detectable(TestedResidual(case.fitted), scored, _TESTS, 0.01, levels())
 
 
-def _information_rows(shown: tuple[Detectable, ...], model: PhysicalModel | None) -> list[CheckRow]:
+def _information_rows(
+    shown: tuple[Detectable, ...], model: PhysicalModel, record: Measurement
+) -> list[CheckRow]:
     """Return check rows on the changes that the record could show.
 
-    A parameter counts as not seen if the record would not even show that it doubles.
+    A parameter counts as not seen if the record would not even show that it doubles. Windows of a model that
+    integrates show less than the whole record.
     """
-    if model is None:
-        return []
     nominal = {(q.kind, q.place): abs(q.value) for q in model.parameters if q.value}
     blind = [
         d.effect.label for d in shown if d.smallest > nominal.get((d.effect.kind, d.effect.place), np.inf)
@@ -265,5 +267,8 @@ def _information_rows(shown: tuple[Detectable, ...], model: PhysicalModel | None
     )  # fmt: skip
     if not blind:
         return [seen]
-    least = f"The record would not show these even if they doubled: {', '.join(blind[:4])}."
+    cut = integrates(model.linear, record)
+    whole = "Free runs of a tenth of the record (the model integrates)" if cut else "The record"
+    least = f"{whole} would not show these even if they doubled: {', '.join(blind[:4])}."
+    least += " A longer horizon= may." if cut else ""
     return [seen, CheckRow(LOOK, "information", "", f"{len(blind)} not seen", least)]

@@ -243,13 +243,42 @@ def diagnose(
         with steps.step("what is odd"):
             odd = () if in_frequency(records) else looks(seen, given, horizon)
         asked = options | {"candidates": None if candidates is None else tuple(candidates)}
-        found = ask(Case(base, records, candidates, asked, significance, steps), validation)
+        case = Case(base, records, candidates, asked, significance, steps)
+        found = ask(case, validation)
         more = with_offsets(base, records, options) if found.verdict == "unexplained" else base
         if more is not base:  # nonlinear effects depend on the zero of a signal, linear models do not
             again = ask(Case(more, records, candidates, asked, significance, steps), validation)
             found = found if again.verdict == "unexplained" else again
+        if found.verdict == "adequate" and horizon is None and case.cut:
+            found = _in_whole_records(found, case, candidates, asked, validation)
         said = about_noise(base.physical_model, records, live)
         return replace(found, checks=odd, records=tuple(live), notes=(*silent, *found.notes, *said))
+
+
+_WHOLE = 1.3  # rms error of the whole free run over that of the windows, within which no window is needed
+
+
+def _in_whole_records(
+    found: Diagnosis,
+    case: Case,
+    candidates: Sequence[Effect] | None,
+    asked: dict[str, Any],
+    validation: Measurement | None,
+) -> Diagnosis:
+    """Return the diagnosis of whole free runs, where these are as good as windows.
+
+    The free initial state of each window of an integrating model takes up what accumulates, a wrong gain
+    among it. Where only the sensors are noisy, a whole free run shows it.
+    """
+    whole: dict[str, Any] = {"horizon": max(record.n_samples * record.dt for record in case.records)}
+    options = {name: asked[name] for name in ("free", "tolerance", "offset", "noise")}
+    base = base_fit(case.base.physical_model, list(case.records), **options, **whole)
+    again = ask(
+        Case(base, case.records, candidates, asked | whole, case.significance, case.progress), validation
+    )
+    best = again.best.refinement if again.best is not None else again.floated or again.base
+    as_good = again.verdict != "unexplained" and np.all(best.rmse <= _WHOLE * found.base.rmse)
+    return again if as_good else found
 
 
 _LISTED = 20  # rows of a ranking
