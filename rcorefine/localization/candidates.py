@@ -33,7 +33,7 @@ from .estimate import Joint, log_likelihood
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class DamageCandidate:
     """A change that is looked for: its column, and what counts as 100 percent."""
 
     column: int
@@ -113,7 +113,7 @@ def as_candidates(
     nominal: Mapping[tuple[str, str], float],
     tolerance: float,
     least: float,
-) -> list[Candidate]:
+) -> list[DamageCandidate]:
     """The effects with their columns, and the sizes that count as 100 percent."""
     names = {(q.kind, q.place): q.name for q in structure.model.parameters}
     found = []
@@ -123,7 +123,7 @@ def as_candidates(
             raise ModelError(f"{effect.label} is fixed, so it cannot be a candidate")
         size = nominal.get((effect.kind, effect.place), 0.0)
         found.append(
-            Candidate(
+            DamageCandidate(
                 column,
                 effect.kind,
                 effect.place,
@@ -141,7 +141,7 @@ UNDAMAGED = "no damage"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setting:
+class SharedSetting:
     """Model, records and nuisance parameters that all hypotheses share."""
 
     physical: PhysicalModel
@@ -244,12 +244,12 @@ def _as_effect(entry: Any) -> Effect:
     )
 
 
-def rank_hypotheses(setting: Setting, hypotheses: Any) -> tuple[HypothesisRow, ...]:
+def rank_hypotheses(setting: SharedSetting, hypotheses: Any) -> tuple[HypothesisRow, ...]:
     """Fit every scenario and rank them by likelihood, parameters paid for.
 
     Parameters
     ----------
-    setting : Setting
+    setting : SharedSetting
         Model, records, nuisances.
     hypotheses : mapping or sequence
         As for `named_hypotheses`.
@@ -276,7 +276,7 @@ def rank_hypotheses(setting: Setting, hypotheses: Any) -> tuple[HypothesisRow, .
     return tuple(sorted(ranked, key=lambda row: row.bic))
 
 
-def _fitted(setting: Setting, name: str, effects: tuple[Effect, ...]) -> HypothesisRow:
+def _fitted(setting: SharedSetting, name: str, effects: tuple[Effect, ...]) -> HypothesisRow:
     joint = setting.joint(effects)
     structure = joint.structure
     if structure.is_linear:

@@ -16,7 +16,7 @@ from scipy.stats import norm
 from ..inference.covariance import pseudo_inverse, standard_deviations
 from ..inference.levels import levels
 from ..systems.linear import Array
-from .candidates import Candidate
+from .candidates import DamageCandidate
 from .estimate import Joint
 
 _APART = 15.0  # deviates by which a swap would worsen the fit, to first order, above which it is not tried
@@ -37,7 +37,7 @@ class Decision(NamedTuple):
     other_valley: bool  #: whether more changes, elsewhere, would explain the record as well
 
 
-def decide(joint: Joint, candidates: list[Candidate], significance: float) -> Decision:
+def decide(joint: Joint, candidates: list[DamageCandidate], significance: float) -> Decision:
     """Estimate all changes jointly and keep the candidates that are needed.
 
     Backward elimination with refits is followed by additions and swaps. A candidate is dropped as long as the
@@ -48,7 +48,7 @@ def decide(joint: Joint, candidates: list[Candidate], significance: float) -> De
     ----------
     joint : Joint
         Started estimate.
-    candidates : list of Candidate
+    candidates : list of DamageCandidate
         What may be named.
     significance : float
         Probability of naming anything where nothing has changed.
@@ -94,7 +94,7 @@ def decide(joint: Joint, candidates: list[Candidate], significance: float) -> De
 class _Selection:
     """Kept candidates after backward elimination; the others are held at zero."""
 
-    def __init__(self, joint: Joint, candidates: list[Candidate], significance: float) -> None:
+    def __init__(self, joint: Joint, candidates: list[DamageCandidate], significance: float) -> None:
         self.joint, self.significance = joint, significance
         self.where = np.array([c.column for c in candidates], dtype=np.int64)
         self.floor = np.array([c.floor for c in candidates])

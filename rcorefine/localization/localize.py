@@ -37,8 +37,8 @@ from ..models.operating_point import ordered_record, refuse_point
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .candidates import (
-    Candidate,
-    Setting,
+    DamageCandidate,
+    SharedSetting,
     as_candidates,
     candidate_effects,
     default_rule,
@@ -68,7 +68,7 @@ _SHORTEST = 200  # samples of a record that can be tested
 
 def assessed(
     joint: Joint,
-    candidates: Sequence[Candidate],
+    candidates: Sequence[DamageCandidate],
     decision: Decision,
     tests: tuple[FTest, ...],
     rule: str,
@@ -103,7 +103,7 @@ def assessed(
 
 
 def _rows(
-    candidates: Sequence[Candidate], decision: Decision, significance: float, power: float
+    candidates: Sequence[DamageCandidate], decision: Decision, significance: float, power: float
 ) -> tuple[DamageRow, ...]:
     """Changes with their intervals, and what the record would have shown."""
     left = max(len(candidates) - len(decision.named), 1)
@@ -148,7 +148,7 @@ def _message(
     return " ".join(part for part in parts if part)
 
 
-def _nuisance_rows(joint: Joint, candidates: Sequence[Candidate]) -> tuple[NuisanceRow, ...]:
+def _nuisance_rows(joint: Joint, candidates: Sequence[DamageCandidate]) -> tuple[NuisanceRow, ...]:
     structure = joint.structure
     taken = [c.column for c in candidates]
     active = np.ones(structure.n_parameters, dtype=bool)
@@ -312,7 +312,7 @@ def localize_damage(
         segments, note = windows(physical, records, horizon)
         motion = estimated_motion(Structure(physical, base), np.zeros(0), records[0])
         nuisances, spreads = _nuisances(physical, base, effects, rule, nominal, tolerance, offset, records[0])
-        setting = Setting(
+        setting = SharedSetting(
             physical, base, nuisances, spreads, rule == "ratio", tuple(segments),
             noise, initial, substeps, motion, nominal,
         )  # fmt: skip

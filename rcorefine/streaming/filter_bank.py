@@ -21,7 +21,7 @@ from ..exceptions import DataError, DivergenceError
 from ..systems.conversion import growth, stabilized, to_discrete
 from ..systems.linear import Array, LinearModel
 from .coefficients.entries import MILESTONES
-from .coefficients.setup import CoefficientFilter, Setup
+from .coefficients.setup import CoefficientFilter, CoefficientSetup
 from .history import PARAMETERS, Summary
 from .persistence import check_like, storable
 from .samples import Block
@@ -92,15 +92,15 @@ class FilterBank:
 
     Parameters
     ----------
-    setups : mapping of str to Setup
+    setups : mapping of str to CoefficientSetup
         Forms by their names, the one that is taken where two are alike first.
-    initial : Setup
+    initial : CoefficientSetup
         The initial model, without coefficients.
     keep : bool
         Whether to keep the course of every sample.
     """
 
-    def __init__(self, setups: dict[str, Setup], initial: Setup, keep: bool) -> None:
+    def __init__(self, setups: dict[str, CoefficientSetup], initial: CoefficientSetup, keep: bool) -> None:
         self.filters = {name: CoefficientFilter(setup, keep) for name, setup in setups.items()}
         self.filters[INITIAL] = CoefficientFilter(initial, keep)
         self._model = self.filters[INITIAL].discrete_system("initial")

@@ -22,7 +22,7 @@ from ..systems.linear import Array, LinearModel
 from ..systems.response import frequency_response
 from .coefficients.effects import make_effects_setup
 from .coefficients.entries import FORMS, all_entries, correction, named_entries, no_entries, nonzero_entries
-from .coefficients.setup import CoefficientFilter, FilterSettings, Setup, checked_settings
+from .coefficients.setup import CoefficientFilter, CoefficientSetup, FilterSettings, checked_settings
 from .filter_bank import FilterBank
 from .history import CoefficientHistory, Summary, joined, pole_samples, poles_of
 from .persistence import check_like
@@ -425,7 +425,7 @@ def _filter_settings(given: dict[str, Any], sampled: Sampled) -> FilterSettings:
     )
 
 
-def _listed(given: dict[str, Any], sampled: Sampled, items: Sequence[Any]) -> Setup:
+def _listed(given: dict[str, Any], sampled: Sampled, items: Sequence[Any]) -> CoefficientSetup:
     """Coefficients that the user names: entries or effects."""
     if items and all(isinstance(item, str) for item in items) and given["effects"] is None:
         if given["substeps"] is not None:
@@ -440,10 +440,10 @@ def _listed(given: dict[str, Any], sampled: Sampled, items: Sequence[Any]) -> Se
 
 def _forms(
     static: str, given: dict[str, Any], sampled: Sampled, settings: FilterSettings
-) -> dict[str, Setup]:
+) -> dict[str, CoefficientSetup]:
     """Return the correction forms that take part, the most physical first."""
     model, every = sampled.initial, static == "auto"
-    found: dict[str, Setup] = {}
+    found: dict[str, CoefficientSetup] = {}
     if static in ("auto", "nonzero"):
         found["nonzero"] = nonzero_entries(model, settings)
     path = correction_path(model, given["correction_input"], given["correction_feedthrough"])

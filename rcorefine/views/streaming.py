@@ -59,7 +59,7 @@ def monitor_table(monitor: Monitor) -> TextTable:
             + (f", unmeasured force about {100 * force:.2g} % of the input." if force else ".")
         )
         notes.append(
-            "probability: of each candidate among all candidates and no change, with "
+            "probability: of each candidate among all, none of these and no change, with "
             "equal prior probabilities. gain: increase of the log-likelihood over the "
             "healthy model. "
             + ("The values are fitted since the change." if state else "The values are linearized.")

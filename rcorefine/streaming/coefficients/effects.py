@@ -29,7 +29,14 @@ from ...models.physical_model import PhysicalModel
 from ...systems.linear import Array, LinearModel
 from .kernel import Kernel, Layout
 from .laws import Laws
-from .setup import CoefficientMemory, FilterSettings, Setup, checked_settings, floor_at, held_columns
+from .setup import (
+    CoefficientMemory,
+    CoefficientSetup,
+    FilterSettings,
+    checked_settings,
+    floor_at,
+    held_columns,
+)
 
 _LAG = 64  # samples that input delays look back on
 _FIRST = 50  # samples of the first stretch, at least
@@ -37,7 +44,7 @@ _MARGIN = 1e-3  # of a bound that an estimate keeps off it
 
 
 @dataclass(frozen=True, eq=False)
-class EffectsSetup(Setup):
+class EffectsSetup(CoefficientSetup):
     """Physical effects as coefficients.
 
     Parameters

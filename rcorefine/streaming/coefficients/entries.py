@@ -21,7 +21,7 @@ from ...systems.conversion import to_discrete
 from ...systems.discretization import exponential
 from ...systems.linear import Array, LinearModel
 from .kernel import Kernel, Layout
-from .setup import DOUBT, NEVER, CoefficientMemory, FilterSettings, Setup, advanced
+from .setup import DOUBT, NEVER, CoefficientMemory, CoefficientSetup, FilterSettings, advanced
 
 # Samples at which the first ones are gone over: a wrong start spoils what was learned from them.
 MILESTONES = (32, 64, 128, 256, 512, 1024, 2048)
@@ -33,7 +33,7 @@ _LEAST = 0.1  # prior of an entry that is zero, over what would move its row as 
 
 
 @dataclass(frozen=True, eq=False)
-class EntriesSetup(Setup):
+class EntriesSetup(CoefficientSetup):
     """Linear model whose matrices depend linearly on coefficients.
 
     It keeps its own timebase.

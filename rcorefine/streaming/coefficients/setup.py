@@ -149,7 +149,7 @@ class FilterSettings:
         return self.disturbance > 0 or self.forgetting < 1
 
 
-class Setup(ABC):
+class CoefficientSetup(ABC):
     """A model that depends on coefficients, and how they are estimated.
 
     Attributes
@@ -350,7 +350,7 @@ _UNEXPLAINED = 0.3  # of the rms of an output left in the innovations: the effec
 _ALIKE = 0.995  # correlation of two estimates that the sensors can hardly tell apart
 
 
-def explain_divergence(setup: Setup, memory: CoefficientMemory, sample: int) -> DivergenceError:
+def explain_divergence(setup: CoefficientSetup, memory: CoefficientMemory, sample: int) -> DivergenceError:
     """Error that says when the state left all bounds, and why."""
     sentences = [
         f"the static stage diverged at sample {sample} (t = {sample * setup.settings.dt:.6g} s); "
@@ -362,7 +362,7 @@ def explain_divergence(setup: Setup, memory: CoefficientMemory, sample: int) -> 
     return DivergenceError(" ".join(sentences))
 
 
-def cautions(setup: Setup, memory: CoefficientMemory) -> list[str]:
+def cautions(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
     """Return the reasons not to trust the coefficients."""
     if memory.rounds == 0 or not memory.spread.size:
         return []
@@ -420,7 +420,7 @@ def cautions(setup: Setup, memory: CoefficientMemory) -> list[str]:
     return found
 
 
-def _poles(setup: Setup, memory: CoefficientMemory) -> NDArray[np.complex128]:
+def _poles(setup: CoefficientSetup, memory: CoefficientMemory) -> NDArray[np.complex128]:
     """Return the poles of the present model in rad/s.
 
     Poles of a discrete model are converted to continuous time.
@@ -439,7 +439,7 @@ def _continuous_poles(model: LinearModel, dt: float) -> NDArray[np.complex128]:
         return np.asarray(np.log(poles) / dt)
 
 
-def _unstable(setup: Setup, memory: CoefficientMemory) -> list[str]:
+def _unstable(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
     before = _continuous_poles(setup.model, setup.settings.dt).real.max(initial=-np.inf)
     poles = _poles(setup, memory)
     if not poles.size:
@@ -454,7 +454,7 @@ def _unstable(setup: Setup, memory: CoefficientMemory) -> list[str]:
     ]
 
 
-def _bounds(setup: Setup, memory: CoefficientMemory) -> list[str]:
+def _bounds(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
     theta = setup.layout.view(memory.packed, "theta")
     lower, upper = setup.bounds
     held = [
@@ -466,7 +466,7 @@ def _bounds(setup: Setup, memory: CoefficientMemory) -> list[str]:
 
 
 def take(
-    setup: Setup, memory: CoefficientMemory, block: Block, *, keep: bool = False
+    setup: CoefficientSetup, memory: CoefficientMemory, block: Block, *, keep: bool = False
 ) -> tuple[CoefficientMemory, CoefficientRecord]:
     """Memory after some samples; the one given stays as it is.
 
@@ -512,7 +512,7 @@ def take(
 
 
 def advanced(
-    setup: Setup, memory: CoefficientMemory, block: Block, record: CoefficientRecord
+    setup: CoefficientSetup, memory: CoefficientMemory, block: Block, record: CoefficientRecord
 ) -> tuple[CoefficientMemory, int]:
     """Return the memory after a block, and the number of samples done.
 
@@ -549,13 +549,13 @@ class CoefficientFilter:
 
     Parameters
     ----------
-    setup : Setup
+    setup : CoefficientSetup
         Model, coefficients, settings.
     keep : bool
         Whether to keep the course of every sample.
     """
 
-    def __init__(self, setup: Setup, keep: bool) -> None:
+    def __init__(self, setup: CoefficientSetup, keep: bool) -> None:
         self.setup, self.keep = setup, keep
         self._unrecorded = setup.layout.record(0)
         self.reset()

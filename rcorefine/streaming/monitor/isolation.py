@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...data.measurement import Measurement
+from ...diagnosis.hypothesis import unphysical
 from ...effects.effect import Effect
 from ...engine.engine import Engine
 from ...engine.structure import Structure
 from ...gauss_newton import Rows, gauss_newton
 from ...inference.covariance import covariance, standard_deviations
+from ...inference.levels import levels
 from ...inference.problem import natural_sizes
 from ...inference.starts import Motion, law_widths, shape_starts
 from ...inference.whitening import innovations
@@ -100,7 +102,7 @@ class Segment:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fit:
+class CandidateFit:
     """One candidate fitted.
 
     Attributes
@@ -134,6 +136,23 @@ class Fit:
         """Standard deviations, shape (p,)."""
         return standard_deviations(self.covariance)
 
+    def possible(self, healthy: Structure) -> bool:
+        """Return whether a friction that the healthy model lacks resists the motion."""
+        effect = self.effect
+        if effect is None or any((e.kind, e.place) == (effect.kind, effect.place) for e in healthy.effects):
+            return True
+        values = dict(zip(effect.free, map(float, self.coefficients), strict=True))
+        return not unphysical(effect, values, healthy.model)
+
+    @property
+    def determined(self) -> bool:
+        """Return whether the samples determine a size of the effect."""
+        if self.effect is None:
+            return True
+        free, shaping = self.effect.free, self.effect.spec.shaping
+        sizes = [i for i, name in enumerate(free) if name not in shaping] or list(range(len(free)))
+        return bool((np.abs(self.coefficients) > levels().moved * self.std)[sizes].any())
+
 
 def fit_candidate(
     segment: Segment,
@@ -143,7 +162,7 @@ def fit_candidate(
     *,
     alone: bool = False,
     worst: float = math.inf,
-) -> Fit:
+) -> CandidateFit:
     """Fit one candidate (None: the healthy model) by damped Gauss-Newton.
 
     Parameters
@@ -189,7 +208,7 @@ def fit_candidate(
     points = [np.asarray(s, dtype=float) for s in starts if len(s) == p - p0 and np.isfinite(s).all()]
     if added and not (alone and points):
         points += [s[p0:] for s in shape_starts(structure, theta0, motion)[:_MOST_STARTS]]
-    best: Fit | None = None
+    best: CandidateFit | None = None
     for start in points or [np.zeros(0)]:
         low, high = lower.copy(), upper.copy()
         for i, q in enumerate(structure.parameters[p0:]):
@@ -221,7 +240,7 @@ def descend(
     effect: Effect | None = None,
     worst: float = math.inf,
     prior: Callable[[Array], Rows] | None = None,
-) -> Fit:
+) -> CandidateFit:
     """Fit the coefficients `loose` of `theta` from one starting value.
 
     The initial state is fitted as well if it is free.
@@ -278,4 +297,4 @@ def descend(
     whole = covariance(J.T @ J) if math.isfinite(cost) else np.diag(np.full(p + free, np.inf))
     doubt = whole[p:, p:] if free else np.zeros((n, n))
     points = r.size if math.isfinite(cost) else 0
-    return Fit(effect, point[:p], whole[:p, :p], cost, points, x0 + point[p:] if free else x0, doubt)
+    return CandidateFit(effect, point[:p], whole[:p, :p], cost, points, x0 + point[p:] if free else x0, doubt)

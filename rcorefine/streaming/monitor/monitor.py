@@ -373,8 +373,8 @@ class Monitor(Result):
         """Probabilities at `timepts`, shape (1 + n_candidates, n_rows).
 
         The first row is "nothing has changed": one half where the statistic is at its
-        threshold. The others follow in the order of `candidates`. At most 2048
-        rows are kept; a longer stream is thinned.
+        threshold. The others follow in the order of `candidates`. What a column lacks to one is the
+        probability of a change that is none of them. At most 2048 rows are kept; a longer stream is thinned.
         """
         c = self._course
         return c.rows[: c.count, : 1 + len(self.candidates)].T.copy()

@@ -18,7 +18,7 @@ from ...models.physical_model import PhysicalModel
 from ...results import Row, with_error
 from ...systems.linear import Array
 from ..samples import Block
-from .isolation import Fit, Segment, fit_candidate
+from .isolation import CandidateFit, Segment, fit_candidate
 from .stream import Stream
 
 
@@ -73,7 +73,7 @@ class Alarm(Row):
     std : dict
         Standard deviations.
     probability : float
-        Of this effect among all candidates and "nothing".
+        Of this effect among all candidates, "nothing" and "none of these".
     statistic : float
         Largest windowed score, in standard deviations.
     threshold : float
@@ -109,6 +109,7 @@ _SHORTLIST = 10
 _LEADERS = 3  # candidates with which the time of the change is settled
 _MOVES = 4
 _PLACES = 3  # leading fits whose places are searched through
+_UNKNOWN = 4  # coefficients that a change of unknown form would take
 _HOPELESS = 100.0  # sum of squares by which a fit may lie behind before it is given up
 
 
@@ -138,10 +139,11 @@ def _by_candidate(stream: Stream, values: Array) -> Array:
     return gain
 
 
-def shares(change: float, gains: Array) -> Array:
+def shares(change: float, gains: Array, none: float = -math.inf) -> Array:
     """Return the probabilities of no change and of each candidate.
 
-    The prior probabilities of the candidates are equal.
+    The prior probabilities of the candidates and of "none of these" are equal. What the probabilities lack to
+    one is that of none.
 
     Parameters
     ----------
@@ -149,14 +151,17 @@ def shares(change: float, gains: Array) -> Array:
         Log-likelihood ratio of a change, 0 at the threshold.
     gains : ndarray, shape (n_candidates,)
         Log-likelihoods of the candidates, up to a constant.
+    none : float
+        That of a change that is none of the candidates.
 
     Returns
     -------
     ndarray, shape (1 + n_candidates,)
     """
     something = 1.0 / (1.0 + math.exp(-min(max(change, -700.0), 700.0)))
-    weight = np.exp(gains - gains.max())
-    return np.concatenate([[1.0 - something], something * weight / weight.sum()])
+    top = max(float(gains.max()), none)
+    weight = np.exp(gains - top)
+    return np.concatenate([[1.0 - something], something * weight / (weight.sum() + math.exp(none - top))])
 
 
 def change_of(stream: Stream) -> tuple[int, Array]:
@@ -247,7 +252,7 @@ def fit_all(
     *,
     latest: int | None,
     window: int,
-) -> tuple[list[tuple[Fit, float]], int, float]:
+) -> tuple[list[tuple[CandidateFit, float]], int, float, float]:
     """Fit each promising candidate to the samples since the change.
 
     Parameters
@@ -274,6 +279,8 @@ def fit_all(
         Sample of the change, moved to what the best fits prefer.
     misfit : float
         Mean square of what the best fit leaves, in units of the noise.
+    none : float
+        Log-likelihood, as the gains, of a change that is none of the candidates; -inf if nothing was fitted.
     """
     effects = stream.bank.candidates
     estimates, _, gains = linear_estimates(stream, since)
@@ -292,17 +299,24 @@ def fit_all(
     if scored and latest is not None:
         scored, since = contest.moved(scored, since, latest)
     if not scored:
-        return [], since, math.inf
-    points = max(scored[0][0].points, 1)
+        return [], since, math.inf, -math.inf
+    first, gained = scored[0]
+    healthy, points = first.cost + 2.0 * gained, max(first.points, 1)
+    # a size that the samples do not determine, or that physics excludes, explains nothing
+    known = stream.observer.structure
+    sound = [fit for fit, _ in scored if fit.determined and fit.possible(known)]
+    scored = [(fit, gain if fit in sound else min(gain, 0.0)) for fit, gain in scored]
+    left = min([healthy, *(fit.cost for fit in sound)]) / points
     # what the best one leaves, where that is more than noise, weighs all of them less
-    temper = max(1.0, scored[0][0].cost / points)
+    temper = max(1.0, left)
+    none = 0.5 * (healthy - levels().alarm_left * points) / temper - 0.5 * _UNKNOWN * math.log(points)
     fair = [
         (fit, gain / temper - 0.5 * (fit.coefficients.size - 1) * math.log(points)) for fit, gain in scored
     ]
-    return _best_first(fair), since, temper
+    return _best_first(fair), since, temper, none
 
 
-def _best_first(scored: Iterable[tuple[Fit, float]]) -> list[tuple[Fit, float]]:
+def _best_first(scored: Iterable[tuple[CandidateFit, float]]) -> list[tuple[CandidateFit, float]]:
     return sorted(scored, key=lambda pair: -pair[1])
 
 
@@ -321,7 +335,7 @@ class _Contest:
 
     def fits_from(
         self, start: int, which: Sequence[int], known: Mapping[Effect, Array]
-    ) -> list[tuple[Fit, float]]:
+    ) -> list[tuple[CandidateFit, float]]:
         """Fit some candidates to the samples from `start` on.
 
         Return the fits and their gains, best first.
@@ -332,7 +346,7 @@ class _Contest:
         else:
             first, free = max(start, stream.oldest), start < stream.oldest
         segment = segment_of(stream, first, free, self.mean)
-        found: list[tuple[Fit, float]] = []
+        found: list[tuple[CandidateFit, float]] = []
         if not segment.judged.any():  # a change of a moment ago: the filters have no past yet
             return found
         motion = Motion(segment.structure, segment.theta, segment.data)
@@ -351,8 +365,8 @@ class _Contest:
         return _best_first(found)
 
     def moved(
-        self, scored: list[tuple[Fit, float]], since: int, latest: int
-    ) -> tuple[list[tuple[Fit, float]], int]:
+        self, scored: list[tuple[CandidateFit, float]], since: int, latest: int
+    ) -> tuple[list[tuple[CandidateFit, float]], int]:
         """Move the change to the sample at which the leaders fit best.
 
         It may be earlier or later than the linear scores indicate.
@@ -391,7 +405,9 @@ def find_state(stream: Stream) -> None:
     stream.found(start, fit.state, fit.doubt)
 
 
-def fit_one(stream: Stream, index: int, start: int, mean: Array, before: Array) -> tuple[Fit, Fit]:
+def fit_one(
+    stream: Stream, index: int, start: int, mean: Array, before: Array
+) -> tuple[CandidateFit, CandidateFit]:
     """Fit one candidate, and no effect, to the samples from `start` on.
 
     The state at `start` is unknown.
@@ -442,6 +458,7 @@ class Watch:
     past: list[Alarm] = field(default_factory=list)
     rows: list[MonitorRow] = field(default_factory=list)
     gains: Array | None = None  # log-likelihoods of all candidates since the change
+    none: float = -math.inf  # that of a change that is none of them
     next_naming: int = 0
     next_follow: int = 0
     value: float = float("nan")
@@ -553,7 +570,7 @@ class Watch:
             if row.fitted and row.probability > _KEPT
         }
         window = _FOLLOW * self.period
-        scored, since, misfit = fit_all(
+        scored, since, misfit, self.none = fit_all(
             stream, since, self.mean, before, latest=self.crossed if settle else None, window=window
         )
         worst, least = levels().alarm_left * self.misfit, levels().alarm_worth
@@ -581,7 +598,7 @@ class Watch:
             coefficients = dict(zip(names, map(float, values), strict=True))
             std = dict(zip(names, map(float, stds), strict=True))
             rows.append(MonitorRow(effect, coefficients, std, 0.0, float(gain), effect in fitted))
-        p = shares(self.change(stream), all_gains)[1:]
+        p = shares(self.change(stream), all_gains, self.none)[1:]
         rows = [replace(row, probability=float(share)) for row, share in zip(rows, p, strict=True)]
         self.rows = sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
         self.gains = all_gains
@@ -621,7 +638,8 @@ class Watch:
             probability=row.probability,
         )
         others = tuple(other.effect.kind for other in alike if other is not row)
-        self.found = replace(found, sentence=_sentence(found, model, others))
+        none = 0.0 if self.none == -math.inf else 1.0 - sum(one.probability for one in self.rows)
+        self.found = replace(found, sentence=_sentence(found, model, others, none))
 
     def follow(self, stream: Stream) -> None:
         """Fit the named effect to the last periods alone.
@@ -659,17 +677,23 @@ class Watch:
                 replace(gone, sentence=_sentence(gone, stream.observer.structure.model)),
             ][-_MOST_PAST:]
         self.found, self.confirmed, self.rows, self.gains = None, False, [], None
+        self.none = -math.inf
         self.value = self.std = float("nan")
         stream.restart(start, state)
 
 
-def _sentence(alarm: Alarm, model: PhysicalModel, others: tuple[str, ...] = ()) -> str:
+def _sentence(alarm: Alarm, model: PhysicalModel, others: tuple[str, ...] = (), none: float = 0.0) -> str:
     figures = ", ".join(
         f"{name} {with_error(value, alarm.std[name], model.unit(alarm.effect, name))}"
         for name, value in alarm.coefficients.items()
     )
     alike = f"; {', '.join(others)} would explain it as well" if others else ""
     ended = "" if alarm.ended is None else f" It was gone by t = {alarm.ended:.6g} s."
+    if none > max(alarm.probability, 0.5):
+        return (
+            f"Alarm at t = {alarm.time:.6g} s: a change since about t = {alarm.since:.6g} s that is none of "
+            f"the candidates (probability {none:.2f}). Closest: {alarm.effect.label} ({figures}).{ended}"
+        )
     return (
         f"Alarm at t = {alarm.time:.6g} s: {alarm.effect.label} since about t = {alarm.since:.6g} s "
         f"({figures}; probability {alarm.probability:.2f}{alike}).{ended}"
@@ -726,7 +750,7 @@ def _row(stream: Stream, watch: Watch) -> Array:
     if watch.gains is None:
         p, value, std = shares(float(gains.max()), gains), math.nan, math.nan
     else:
-        p, value, std = shares(watch.change(stream), watch.gains), watch.value, watch.std
+        p, value, std = shares(watch.change(stream), watch.gains, watch.none), watch.value, watch.std
     return np.concatenate([p, [ratio, value, std]])
 
 
