@@ -705,7 +705,7 @@ class Measurement(Result, RecordReaders):
         )
 
     def _changed(self, kind: Any = None, **changes: Any) -> Self:
-        """The record with some of its fields otherwise, or as one of another class."""
+        """The record with other fields, or as one of another class."""
         values = {name: getattr(self, name) for name in _FIELDS} | changes
         if np.shape(values["inputs"])[0] == 0:
             values["inputs"] = _UNDRIVEN

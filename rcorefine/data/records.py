@@ -70,7 +70,7 @@ def as_records(data: Any, name: str = "data") -> list[Measurement]:
 
 
 class FreeRun(Measurement):
-    """Record whose simulation was asked for (`horizon`): no observer corrects it."""
+    """Record whose free run was asked for: no observer corrects it."""
 
 
 def at_rest(records: Sequence[Measurement]) -> bool:

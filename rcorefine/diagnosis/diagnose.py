@@ -243,14 +243,7 @@ def diagnose(
         with steps.step("what is odd"):
             odd = () if in_frequency(records) else looks(seen, given, horizon)
         asked = options | {"candidates": None if candidates is None else tuple(candidates)}
-        case = Case(base, records, candidates, asked, significance, steps)
-        found = ask(case, validation)
-        more = with_offsets(base, records, options) if found.verdict == "unexplained" else base
-        if more is not base:  # nonlinear effects depend on the zero of a signal, linear models do not
-            again = ask(Case(more, records, candidates, asked, significance, steps), validation)
-            found = found if again.verdict == "unexplained" else again
-        if found.verdict == "adequate" and horizon is None and case.cut:
-            found = _in_whole_records(found, case, candidates, asked, validation)
+        found = _asked_twice(Case(base, records, candidates, asked, significance, steps), validation)
         said = about_noise(base.physical_model, records, live)
         return replace(found, checks=odd, records=tuple(live), notes=(*silent, *found.notes, *said))
 
@@ -258,27 +251,30 @@ def diagnose(
 _WHOLE = 1.3  # rms error of the whole free run over that of the windows, within which no window is needed
 
 
-def _in_whole_records(
-    found: Diagnosis,
-    case: Case,
-    candidates: Sequence[Effect] | None,
-    asked: dict[str, Any],
-    validation: Measurement | None,
-) -> Diagnosis:
-    """Return the diagnosis of whole free runs, where these are as good as windows.
+def _asked_twice(case: Case, validation: Measurement | None) -> Diagnosis:
+    """Return the diagnosis of a case, or of the same records seen otherwise.
 
-    The free initial state of each window of an integrating model takes up what accumulates, a wrong gain
-    among it. Where only the sensors are noisy, a whole free run shows it.
+    If nothing is named, there is an offset at each channel: nonlinear effects depend on the zero of a signal,
+    linear models do not.
+
+    If nothing is missing in windows of an integrating model, whole free runs count, where they are as good:
+    the free initial state of each window takes up what accumulates, a wrong gain among it.
     """
-    whole: dict[str, Any] = {"horizon": max(record.n_samples * record.dt for record in case.records)}
-    options = {name: asked[name] for name in ("free", "tolerance", "offset", "noise")}
-    base = base_fit(case.base.physical_model, list(case.records), **options, **whole)
-    again = ask(
-        Case(base, case.records, candidates, asked | whole, case.significance, case.progress), validation
-    )
-    best = again.best.refinement if again.best is not None else again.floated or again.base
-    as_good = again.verdict != "unexplained" and np.all(best.rmse <= _WHOLE * found.base.rmse)
-    return again if as_good else found
+    found, settings, records = ask(case, validation), case.settings, list(case.records)
+    again, base = settings, case.base
+    if found.verdict == "unexplained":
+        base = with_offsets(base, records, settings)
+    elif found.verdict == "adequate" and settings["horizon"] is None and case.cut:
+        again = settings | {"horizon": max(record.n_samples * record.dt for record in records)}
+        options = {name: again[name] for name in ("free", "tolerance", "offset", "noise", "horizon")}
+        base = base_fit(base.physical_model, records, **options)
+    if base is case.base:
+        return found
+    other = Case(base, records, settings["candidates"], again, case.significance, case.progress)
+    told = ask(other, validation)
+    best = told.best.refinement if told.best is not None else told.floated or told.base
+    worse = again is not settings and np.any(best.rmse > _WHOLE * found.base.rmse)
+    return found if told.verdict == "unexplained" or worse else told
 
 
 _LISTED = 20  # rows of a ranking

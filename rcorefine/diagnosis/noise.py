@@ -85,7 +85,7 @@ class Residual:
 
     @cached_property
     def floor(self) -> float:
-        """Return the variance of the arithmetic, the only noise of an exact record."""
+        """Return the variance of the arithmetic, the noise of an exact record."""
         resolved = RESOLUTION * float(np.std(self.measured)) * (self.most != 0)
         return max(resolved**2, 1e-300)
 

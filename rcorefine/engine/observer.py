@@ -346,7 +346,7 @@ def growth(model: PhysicalModel, states: Array, record: Measurement) -> float:
 
 
 def _balancing(A: Array) -> Array:
-    """Return the units of the states in which rows and columns of A are equally large."""
+    """Return units of the states that make rows and columns equally large."""
     scale, size = np.ones(len(A)), A - np.diag(np.diag(A))
     for _ in range(_BALANCED):
         for i in range(len(A)):

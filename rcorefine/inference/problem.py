@@ -169,13 +169,9 @@ class Problem:
 
         No innovation is smaller than the resolution of an output: an exact record has no other noise.
         """
-        return Whitener.fit(residuals, most=self.color, floor=self._resolution)
-
-    @cached_property
-    def _resolution(self) -> Array:
-        """Resolution of each output in units of the weights, 0 for responses."""
         outputs = np.concatenate([record.outputs for record in self.records], axis=1)
-        return np.asarray(RESOLUTION * self.in_time * self.weights * outputs.std(axis=1))
+        resolved = RESOLUTION * self.in_time * self.weights * outputs.std(axis=1)
+        return Whitener.fit(residuals, most=self.color, floor=resolved)
 
     @property
     def color(self) -> int | None:

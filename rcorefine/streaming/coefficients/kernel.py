@@ -160,7 +160,7 @@ def remembered(sizes, packed):
 
 @compiled
 def given_at(sizes, fixed):
-    """Views of what `CoefficientSetup.head` packed, and where the model begins.
+    """Views of what `CoefficientSetup.head` packed, and the model's place.
 
     They stay fixed until the next discretization. centre : its coefficients; limits : their bounds,
     (2, p); least : steps that do not matter; floor : declared variance of the noise; numbers : when to

@@ -137,7 +137,7 @@ class CandidateFit:
         return standard_deviations(self.covariance)
 
     def possible(self, healthy: Structure) -> bool:
-        """Return whether a friction that the healthy model lacks resists the motion."""
+        """Return whether a friction that the model lacks resists the motion."""
         effect = self.effect
         if effect is None or any((e.kind, e.place) == (effect.kind, effect.place) for e in healthy.effects):
             return True

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
+from ...engine.structure import Structure
 from ...inference.levels import levels
 from ...inference.starts import Motion
 from ...models.physical_model import PhysicalModel
@@ -300,20 +301,25 @@ def fit_all(
         scored, since = contest.moved(scored, since, latest)
     if not scored:
         return [], since, math.inf, -math.inf
+    weighed, temper, none = _weighed(scored, stream.observer.structure)
+    return weighed, since, temper, none
+
+
+def _weighed(
+    scored: list[tuple[CandidateFit, float]], known: Structure
+) -> tuple[list[tuple[CandidateFit, float]], float, float]:
+    """Return fits with fair gains, the misfit, and the gain of no candidate."""
     first, gained = scored[0]
     healthy, points = first.cost + 2.0 * gained, max(first.points, 1)
     # a size that the samples do not determine, or that physics excludes, explains nothing
-    known = stream.observer.structure
     sound = [fit for fit, _ in scored if fit.determined and fit.possible(known)]
     scored = [(fit, gain if fit in sound else min(gain, 0.0)) for fit, gain in scored]
     left = min([healthy, *(fit.cost for fit in sound)]) / points
     # what the best one leaves, where that is more than noise, weighs all of them less
-    temper = max(1.0, left)
-    none = 0.5 * (healthy - levels().alarm_left * points) / temper - 0.5 * _UNKNOWN * math.log(points)
-    fair = [
-        (fit, gain / temper - 0.5 * (fit.coefficients.size - 1) * math.log(points)) for fit, gain in scored
-    ]
-    return _best_first(fair), since, temper, none
+    temper, price = max(1.0, left), 0.5 * math.log(points)
+    none = 0.5 * (healthy - levels().alarm_left * points) / temper - _UNKNOWN * price
+    fair = [(fit, gain / temper - price * (fit.coefficients.size - 1)) for fit, gain in scored]
+    return _best_first(fair), temper, none
 
 
 def _best_first(scored: Iterable[tuple[CandidateFit, float]]) -> list[tuple[CandidateFit, float]]:
