@@ -188,8 +188,13 @@ def loaded(A, truth, rng, shift=0):
 
 
 def test_two_names_of_one_change_are_one_hypothesis(rng):
-    """The loss of a store is its entry of A."""
-    found = rco.diagnose(*loaded(-1.0, -1.25, rng))
+    """The loss of a store is its entry of A, and no overflow at a rim of zero."""
+    model, data = loaded(-1.0, -1.25, rng)
+    assert rco.improve(model, data).effects in (
+        (rco.Effect("damping", "T"),),
+        (rco.Effect("coefficient", "A[0,0]"),),
+    )
+    found = rco.diagnose(model, data)
     assert found.verdict == "effect"
     assert found.best.effect == rco.Effect("damping", "T")
     (entry,) = found.best.same

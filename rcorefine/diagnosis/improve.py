@@ -51,7 +51,7 @@ from .noise import left_to_noise
 from .nuisances import Nuisance
 from .result import Improvement, Step
 from .search import Search
-from .verdict import estimates, table, undetermined
+from .verdict import estimates, special, table, undetermined
 
 _JUDGED, _SETTLED = 30, 10  # sets compared by the error on the second part; most sets refitted of them
 
@@ -349,10 +349,15 @@ class _Improver:
         return None
 
     def _plainer(self, trial: Trial, search: Search, keeps: float) -> Trial:
-        """Return the trial of the same effects without nuisances if it suffices.
+        """Return the trial of a special case, or without nuisances, if it suffices.
 
-        Its effects must be determined. It must be almost as probable and pass, or have almost the same error.
+        Its effects must be determined. It must be almost as probable and pass, or, of the same effects, have
+        almost the same error.
         """
+        least = search.posterior(trial) - search.case.levels.family
+        simpler = [t for t in search.ranked() if special(t.effects, trial.effects) and search.determined(t)]
+        likely = (t for t in simpler if search.posterior(t) > least)
+        trial = next(filter(search.passed, likely), trial)
         for other in search.trials:
             if set(other.effects) != set(trial.effects) or other.hypothesis.nuisances:
                 continue
@@ -462,6 +467,8 @@ class _Improver:
             if set(chosen.effects) in sets:
                 own, *names = (" + ".join(sorted(e.label for e in one)) for one in sets)
                 said += [f"For these inputs and outputs {own} is the same change as {n}." for n in names]
+                continue
+            if special(chosen.effects, row.effects):  # what contains it is no rival
                 continue
             gone = set(chosen.effects) - set(row.effects)
             new = set(row.effects) - set(chosen.effects)
