@@ -349,7 +349,7 @@ class _Improver:
         return None
 
     def _plainer(self, trial: Trial, search: Search, keeps: float) -> Trial:
-        """Return the trial of a special case, or without nuisances, if it suffices.
+        """Return the trial of a special case, or one without nuisances.
 
         Its effects must be determined. It must be almost as probable and pass, or, of the same effects, have
         almost the same error.
