@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import rcorefine as rco
+from rcorefine.comparison.failure_map.frequency import period_of
 from rcorefine.diagnosis.noise import spectral_line
 
 DT = 0.02
@@ -49,3 +50,15 @@ def test_a_force_of_one_frequency_is_said_before_anything_else() -> None:
     assert head.startswith("The free run explains only")
     said = float(re.search(r"is a line at ([\d.]+) rad/s", head)[1])
     assert abs(said - 2 * np.pi * 0.9) < np.pi / (n * DT)  # half a line of the spectrum
+
+
+def test_a_period_is_the_shortest_and_of_all_inputs() -> None:
+    rng = np.random.default_rng(0)
+    bits = np.repeat(rng.choice([-1.0, 1.0], 100), 4)
+    once, twice = np.tile(bits, 3), np.tile(bits[:200], 6)
+    assert period_of(once[None]) == 400
+    assert period_of(twice[None]) == 200
+    assert period_of(np.array([once, twice])) == 400
+    once[1100] *= -1.0
+    assert period_of(once[None]) is None
+    assert period_of(np.ones((1, 50))) is None

@@ -329,18 +329,21 @@ def period_of(signals: Array) -> int | None:
     >>> period_of(np.sin(2 * np.pi * np.arange(100) / 20)[None])
     20
     """
-    n = signals.shape[1]
-    moving = [row for row in signals if np.ptp(row) > 0]
-    if not moving:
+    n, moving = signals.shape[1], signals[np.ptp(signals, axis=1) > 0]
+    if not moving.size:
         return None
-    for period in range(4, n // _LEAST + 1):
-        if all(
-            abs(row[period] - row[0]) <= 1e-9 * np.ptp(row)
-            and np.abs(row[period:] - row[:-period]).max() <= 1e-9 * np.ptp(row)
-            for row in moving
-        ):
-            return period
-    return None
+    rounding = 1e-9 * np.ptp(moving, axis=1, keepdims=True)
+
+    def repeats(period: int, first: int) -> bool:
+        """Return whether the first samples come again after a period."""
+        later = moving[:, period : period + first]
+        return bool((np.abs(later - moving[:, : later.shape[1]]) <= rounding).all())
+
+    likely = 4 + np.flatnonzero(
+        (np.abs(moving[:, 4 : n // _LEAST + 1] - moving[:, :1]) <= rounding).all(axis=0)
+    )
+    # most periods fail in their first samples: no more are compared
+    return next((p for p in likely.tolist() if all(repeats(p, first) for first in (50, 1000, n))), None)
 
 
 def excited_lines(inputs: Array) -> tuple[int, NDArray[np.bool_], int] | None:
