@@ -25,7 +25,7 @@ from .residual_tests import TestedResidual
 
 #: Prior probability of each relative standard deviation (spread) of the parameters.
 SPREADS = {0.05: 0.6, 0.2: 0.3, 1.0: 0.1}
-_FINE = 8  # times the substeps: what a delayed edge does between samples depends on them
+_FINE = 8  # times the substeps of the fit
 _EXACT = 0.1  # of its noise, below which a residual is that of the arithmetic
 _EQUAL = 0.01  # difference of the outputs of equal hypotheses, as a share of their change
 
@@ -328,21 +328,23 @@ class Trial:
     def elsewhere(self) -> tuple[Array, Array] | None:
         """Outputs for white inputs, with and without the effects.
 
-        None where no input drives the model. The inputs have the mean and twice the size of those of the
-        first record. The first quarter of the outputs is left out: it depends on what was before.
+        None where no input drives the model. It is at rest for a quarter of the first record; then its inputs
+        have the mean and twice the size of those of that record.
         """
         first = self.problem.records[0]
         if not self.problem.in_time or at_rest([first]):
             return None
-        draw = np.random.default_rng(0).standard_normal(first.inputs.shape)
         size = np.sqrt(np.mean(np.square(first.inputs), axis=1, keepdims=True))
-        record = replace(first, inputs=first.inputs.mean(axis=1, keepdims=True) + 2.0 * size * draw)
-        found = []
+        inputs = np.random.default_rng(0).standard_normal(first.inputs.shape) * 2.0 * size
+        inputs += first.inputs.mean(axis=1, keepdims=True)
+        inputs[:, : first.n_samples // 4] = 0.0
+        record, found = replace(first, inputs=inputs), []
         for problem, point in ((self.problem, self.point), (self.base.problem, self.base.point)):
-            theta, starts = problem.unpack(point)
+            # what a delayed edge does between samples depends on the substeps
             (engine,) = problem.like(records=[record], substeps=_FINE * problem.substeps).engines
-            found.append(engine.run(theta, starts[0], sensitivity=False, check=False).outputs)
-        with_it, without = (outputs[:, first.n_samples // 4 :] for outputs in found)
+            theta, rest = problem.unpack(point)[0], np.zeros(problem.n_states)
+            found.append(engine.run(theta, rest, sensitivity=False, check=False).outputs)
+        with_it, without = found
         return with_it, without
 
     def equals(self, other: Trial) -> bool:

@@ -80,8 +80,9 @@ class Whitener:
             Standard deviation below which an innovation is rounding.
         """
         models = [autoregression(row, order=order, most=most) for row in np.concatenate(residuals, axis=1)]
-        scales = np.hypot(np.sqrt([variance for _, variance in models]), floor)
-        return cls(tuple(a for a, _ in models), np.where(scales > 0, scales, 1.0))
+        left = np.sqrt([variance for _, variance in models])
+        # nothing is left where no sample is judged, or an observer follows the record: that is no noise
+        return cls(tuple(a for a, _ in models), np.where(left > 0, np.hypot(left, floor), 1.0))
 
     @property
     def orders(self) -> tuple[int, ...]:

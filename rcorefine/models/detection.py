@@ -183,6 +183,8 @@ def _lossless(
     that others act back on. Where nothing brings back what moves, as in an integrator, there is none.
     """
     A = significant(linear.A, tolerance)
+    if not len(A):
+        return []
     linked = np.any([e.port.act for e in elements], axis=0) if elements else np.zeros(len(A), dtype=bool)
     kinematic = (np.count_nonzero(A, axis=1) == 1) & (np.abs(A).max(axis=1) == 1.0) & ~linear.B.any(axis=1)
     kinds = {(q.kind, q.place) for q in found}
