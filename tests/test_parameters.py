@@ -83,7 +83,11 @@ def test_numbers_that_are_off_are_no_missing_law(model: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "factors", [{"m2": 0.93, "k1": 1.12, "c1": 1.25}, {"m2": 0.8, "k1": 1.2, "c1": 1.6}], ids=["off", "far"]
+    "factors",
+    [
+        pytest.param({"m2": 0.93, "k1": 1.12, "c1": 1.25}, id="off"),
+        pytest.param({"m2": 0.8, "k1": 1.2, "c1": 1.6}, marks=pytest.mark.slow, id="far"),
+    ],
 )
 def test_numbers_beyond_their_prior_are_found_and_not_pulled_back(factors: dict[str, float]) -> None:
     z = []

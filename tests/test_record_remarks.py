@@ -52,9 +52,9 @@ def blamed(found):
     [
         {"off": 0.02},
         {"off": -0.04},
-        {"behind": (4, 0.8)},
+        pytest.param({"behind": (4, 0.8)}, marks=pytest.mark.slow),
         {"behind": (1, 0.5)},
-        {"off": 0.02, "behind": (2, 0.7)},
+        pytest.param({"off": 0.02, "behind": (2, 0.7)}, marks=pytest.mark.slow),
     ],
     ids=str,
 )

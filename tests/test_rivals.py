@@ -160,7 +160,7 @@ def hardening(cubic):
     return rco.diagnose(plain, rco.Measurement(u, y + noise, dt=dt), candidates=laws, tolerance=0.02), noise
 
 
-@pytest.mark.parametrize("cubic", [1000.0, 3000.0, 9000.0])
+@pytest.mark.parametrize("cubic", [1000.0, 3000.0, pytest.param(9000.0, marks=pytest.mark.slow)])
 def test_a_strong_law_is_followed_to_its_free_run_and_listed_with_its_fit(cubic):
     found, noise = hardening(cubic)
     (record,) = found.records

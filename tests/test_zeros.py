@@ -38,7 +38,11 @@ RIVALS = ("coulomb_friction", "asymmetric_friction", "quadratic_damping", "dampi
 
 
 @pytest.mark.parametrize(
-    ("offsets", "bias", "kinds"), [((6.0, -2.0), 0.0, None), ((-4.0, 3.0), 0.3, RIVALS)], ids=["all", "few"]
+    ("offsets", "bias", "kinds"),
+    [
+        pytest.param((6.0, -2.0), 0.0, None, marks=pytest.mark.slow, id="all"),
+        pytest.param((-4.0, 3.0), 0.3, RIVALS, id="few"),
+    ],
 )
 def test_friction_keeps_its_name_where_the_tachometers_stand_off_zero(
     offsets: tuple[float, float], bias: float, kinds: tuple[str, ...] | None
