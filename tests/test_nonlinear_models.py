@@ -356,8 +356,6 @@ def test_a_given_horizon_is_obeyed_where_the_motion_is_chaotic():
     assert rco.compare(pendulum(), data).led
     free = rco.compare(pendulum(), data, **whole)
     assert not free.led
-    start = rco.physical(pendulum()).operating_point
-    assert start is not None
     run = rco.simulate(pendulum(), data, free.initial_states[0][0])
     np.testing.assert_allclose(free.runs[0, 0], run.outputs[0], atol=1e-6)
     assert "chaotic" not in rco.refine(pendulum(), data, **whole).message

@@ -243,7 +243,7 @@ def diagnose(
         with steps.step("what is odd"):
             odd = () if in_frequency(records) else looks(seen, given, horizon)
         asked = options | {"candidates": None if candidates is None else tuple(candidates)}
-        found = _asked_twice(Case(base, records, candidates, asked, significance, steps), validation)
+        found = _ask_twice(Case(base, records, candidates, asked, significance, steps), validation)
         said = about_noise(base.physical_model, records, live)
         return replace(found, checks=odd, records=tuple(live), notes=(*silent, *found.notes, *said))
 
@@ -251,7 +251,7 @@ def diagnose(
 _WHOLE = 1.3  # rms error of the whole free run over that of the windows, within which no window is needed
 
 
-def _asked_twice(case: Case, validation: Measurement | None) -> Diagnosis:
+def _ask_twice(case: Case, validation: Measurement | None) -> Diagnosis:
     """Return the diagnosis of a case, or of the same records seen otherwise.
 
     If nothing is named, there is an offset at each channel: nonlinear effects depend on the zero of a signal,
@@ -271,10 +271,10 @@ def _asked_twice(case: Case, validation: Measurement | None) -> Diagnosis:
     if base is case.base:
         return found
     other = Case(base, records, settings["candidates"], again, case.significance, case.progress)
-    told = ask(other, validation)
-    best = told.best.refinement if told.best is not None else told.floated or told.base
+    second = ask(other, validation)
+    best = second.best.refinement if second.best is not None else second.floated or second.base
     worse = again is not settings and np.any(best.rmse > _WHOLE * found.base.rmse)
-    return found if told.verdict == "unexplained" or worse else told
+    return found if second.verdict == "unexplained" or worse else second
 
 
 _LISTED = 20  # rows of a ranking

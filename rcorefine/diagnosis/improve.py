@@ -468,7 +468,7 @@ class _Improver:
                 own, *names = (" + ".join(sorted(e.label for e in one)) for one in sets)
                 said += [f"For these inputs and outputs {own} is the same change as {n}." for n in names]
                 continue
-            if special(chosen.effects, row.effects):  # what contains it is no rival
+            if special(chosen.effects, row.effects):  # a law that contains it is no other explanation
                 continue
             gone = set(chosen.effects) - set(row.effects)
             new = set(row.effects) - set(chosen.effects)
