@@ -45,7 +45,7 @@ _NUMBA = _numba()
 NUMBA: bool = _NUMBA is not None
 
 
-def compiled(function: _Function, *, inline: bool = False) -> _Function:
+def compiled(function: _Function, *, inline: bool = False, lanes: bool = False) -> _Function:
     """Compile a kernel with numba, or return it as it is.
 
     Parameters
@@ -57,6 +57,9 @@ def compiled(function: _Function, *, inline: bool = False) -> _Function:
     inline : bool
         Whether its code is copied into each kernel that calls it: for the small products that a march
         calls many times per sample. In small models the calls take more time than the products.
+    lanes : bool
+        Whether equal arithmetic on neighboring entries becomes vectors, and not loops: for loops of few
+        rounds.
 
     Returns
     -------
@@ -75,13 +78,13 @@ def compiled(function: _Function, *, inline: bool = False) -> _Function:
     """
     if _NUMBA is None:
         return function
-    dispatcher = _dispatcher(function)
+    dispatcher = _dispatcher(function, lanes)
 
     # For each kernel numba makes a second function that takes Python's objects, and compiles it anew for each
     # constant that it is given: where a kernel calls a kernel both are in vain, so there it is another one.
     @cache
     def within() -> Any:
-        return _dispatcher(_renamed(function), no_cpython_wrapper=True, forceinline=inline)
+        return _dispatcher(_renamed(function), lanes, no_cpython_wrapper=True, forceinline=inline)
 
     def template(args: Any, kws: Any) -> Any:
         return within().get_call_template([_NUMBA.types.unliteral(one) for one in args], kws)
@@ -93,22 +96,25 @@ def compiled(function: _Function, *, inline: bool = False) -> _Function:
 
 def inlined(function: _Function) -> _Function:
     """Compile a kernel into each kernel that calls it; see `compiled`."""
-    return compiled(function, inline=True)
+    return compiled(function, inline=True, lanes=True)
 
 
-def _dispatcher(function: Callable[..., Any], **more: bool) -> Any:
+def _dispatcher(function: Callable[..., Any], lanes: bool, **more: bool) -> Any:
     """Return a function that numba compiles when it is first called."""
     options = {"fastmath": FASTMATH, "error_model": "numpy", "no_cfunc_wrapper": True, **more}
     found = _kept(_NUMBA.njit, function, **options)
     build = found.compile
 
     def undisturbed(signature: Any) -> Any:
+        config, collects = _NUMBA.config, gc.isenabled()
+        before = config.SLP_VECTORIZE, config.LOOP_VECTORIZE
+        config.SLP_VECTORIZE, config.LOOP_VECTORIZE = (1, 0) if lanes else (0, 1)
         # numba makes so many lasting objects that looking for garbage among them is a seventh of its time
-        collects = gc.isenabled()
         gc.disable()
         try:
             return build(signature)
         finally:
+            config.SLP_VECTORIZE, config.LOOP_VECTORIZE = before
             if collects:
                 gc.enable()
 
@@ -253,7 +259,9 @@ def _plain_number_at(address: int, index: int) -> float:
 number_at: Any = _plain_number_at if _NUMBA is None else _number_at()
 
 
-def by_address(kernel: Callable[..., int], signature: str) -> tuple[Callable[..., int], Callable[[], int]]:
+def by_address(
+    kernel: Callable[..., int], example: Callable[[], tuple[Any, ...]]
+) -> tuple[Callable[..., int], Callable[[], int]]:
     """Return the means to call a compiled kernel by its address.
 
     A large kernel is then compiled once, and not again into each kernel that calls it.
@@ -262,8 +270,8 @@ def by_address(kernel: Callable[..., int], signature: str) -> tuple[Callable[...
     ----------
     kernel : callable
         Compiled kernel that returns a whole number.
-    signature : str
-        Its types, as numba writes them.
+    example : callable
+        Gives arguments that have its types.
 
     Returns
     -------
@@ -275,10 +283,10 @@ def by_address(kernel: Callable[..., int], signature: str) -> tuple[Callable[...
     if _NUMBA is None:
         return lambda address, *given: kernel(*given), lambda: 0
     from numba import types
-    from numba.core import imputils, sigutils
+    from numba.core import imputils
     from numba.extending import intrinsic
 
-    kinds, whole = sigutils.normalize_signature(signature)
+    kinds, whole = tuple(_NUMBA.typeof(given) for given in example()), types.int64
 
     def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         convention = context.call_conv

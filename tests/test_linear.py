@@ -7,10 +7,11 @@ import pytest
 
 from rcorefine.engine import linear
 from rcorefine.engine.inputs import Drive
+from rcorefine.engine.march import Discretized, FieldLaw, MarchResult, MarchState, PortLaws, SensorLaws, march
 
 
 def case(rng, n=3, nw=2, ny=2, N=150, p=4, substeps=1, course=0, pattern="off", radius=0.98):
-    """A random model with sensitivities, in the arguments of `simulate_linear`."""
+    """A random model with sensitivities: matrices, inputs, corrections, first state, substeps, bounds."""
     A = rng.standard_normal((n, n))
     A *= radius / np.abs(np.linalg.eigvals(A)).max(initial=1e-300)
     rows = rng.permutation(p)[:2]
@@ -35,9 +36,39 @@ def case(rng, n=3, nw=2, ny=2, N=150, p=4, substeps=1, course=0, pattern="off", 
         measured[use == 0] = np.nan
     if pattern == "windows":
         use[: N // 2] = 1
-    corrections = linear.Corrections(measured, use, 0.02 * rng.standard_normal((n, ny)))
+    corrections = linear.Corrections(measured, use, 0.02 * rng.standard_normal((n, ny)), np.zeros((0, 0)))
     x, S = rng.standard_normal(n), rng.standard_normal((p, n))
     return at, drive, corrections, x, S, substeps, np.full(ny, 1e30), 1e30
+
+
+def room(given):
+    *_, x, S, substeps, far, limit = given
+    N, ny = given[2].measured.shape
+    y, X = np.full((N, ny), np.nan), np.full((N, len(x)), np.nan)
+    return MarchResult(y, np.zeros((N, ny, len(S))), X, np.zeros((0, 0)), far, limit, substeps)
+
+
+def in_blocks(*given):
+    """The record by products over all of it."""
+    at, drive, corrections, x, S, *_ = given
+    into = room(given)
+    blew_up = linear.simulate_linear(at, drive, corrections, x, S, into)
+    return into.outputs, into.sensitivity, into.states, blew_up
+
+
+def sample_by_sample(*given):
+    """The march, with no law."""
+    at, drive, corrections, x, S, *_ = given
+    into, ny, none = room(given), given[2].measured.shape[1], np.zeros(0, dtype=np.int64)
+    nothing = np.full((0, 4), -1), np.full((ny, 4), -1)
+    model = Discretized(
+        at, PortLaws(none, np.zeros((0, 7)), nothing[0], np.zeros(0)),
+        SensorLaws(np.zeros(ny, dtype=np.int64), np.zeros((ny, 4)), nothing[1]),
+        FieldLaw(0, np.zeros((1, 0)), none),
+    )  # fmt: skip
+    with np.errstate(all="ignore"):
+        blew_up = march(model, drive, corrections, MarchState(x.copy(), np.zeros(ny), S.copy()), into)
+    return into.outputs, into.sensitivity, into.states, blew_up
 
 
 def by_hand(at, drive, corrections, x, S, substeps, far, limit):
@@ -66,7 +97,7 @@ def by_hand(at, drive, corrections, x, S, substeps, far, limit):
     return y, slopes, X
 
 
-@pytest.mark.parametrize("body", [linear.simulate_linear, linear._in_blocks])
+@pytest.mark.parametrize("body", [sample_by_sample, in_blocks])
 @pytest.mark.parametrize("pattern", ["off", "gaps", "windows"])
 @pytest.mark.parametrize(("substeps", "course"), [(1, 0), (1, 1), (4, 1), (3, 2)])
 def test_states_outputs_and_derivatives_are_those_of_the_loop(body, pattern, substeps, course):
@@ -77,7 +108,7 @@ def test_states_outputs_and_derivatives_are_those_of_the_loop(body, pattern, sub
         np.testing.assert_allclose(found, wanted, rtol=1e-10, atol=1e-10 * np.abs(wanted).max())
 
 
-@pytest.mark.parametrize("body", [linear.simulate_linear, linear._in_blocks])
+@pytest.mark.parametrize("body", [sample_by_sample, in_blocks])
 def test_an_unstable_run_ends_at_the_sample_at_which_it_leaves_the_bounds(body):
     at, drive, corrections, x, S, substeps, far, limit = case(np.random.default_rng(6), radius=3.0, N=400)
     y, slopes, _, blew_up = body(at, drive, corrections, x, S, substeps, far, limit)
@@ -90,9 +121,9 @@ def test_an_unstable_run_ends_at_the_sample_at_which_it_leaves_the_bounds(body):
 
 def test_many_columns_are_cut_where_the_cache_ends(monkeypatch):
     given = case(np.random.default_rng(7), substeps=2, pattern="gaps")
-    whole = linear._in_blocks(*given)
+    whole = in_blocks(*given)
     monkeypatch.setattr(linear, "_AT_ONCE", 1)
-    for one, other in zip(whole, linear._in_blocks(*given), strict=True):
+    for one, other in zip(whole, in_blocks(*given), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12)
 
 

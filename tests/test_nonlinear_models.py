@@ -77,7 +77,7 @@ def test_free_run_is_that_of_a_finer_integration(hold):
         for s in (2, 4, 8)
     ]
     assert errors[2] < 1e-5
-    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)  # of second order
+    assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)  # of fourth order
     assert np.abs(rco.simulate(pendulum(), data, "zero").outputs - data.outputs).max() < 2e-3
 
 

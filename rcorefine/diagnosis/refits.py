@@ -15,14 +15,14 @@ from ..engine.point import resting
 from ..engine.structure import Structure
 from ..inference.fitted import FittedModel
 from ..inference.problem import Descent, Problem, descend
-from ..inference.search import search, step_matters
+from ..inference.search import search
 from ..inference.starts import Motion, shape_starts
 from ..systems.linear import Array
 from .hypothesis import Hypothesis, Start, Trial, evidence, likeliest_noise, weighted
 from .noise import Noise
 
 _SHARES = (1.0, 0.4, 0.1)  # shares of the starting sizes: the linear solution may diverge
-_STEP = 0.25  # standard deviations that halving the substep may shift a coefficient
+_STEP = 1.0  # log evidence that halving the substep may change
 _WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a jump is smoothed
 _NOISE_ROUNDS, _FINER, _WIDER = 3, 3, 4
 _HOPE = 3.0  # times the predicted gain of the next step, that a descent may still gain
@@ -227,16 +227,19 @@ class Fitter:
             trial = again if again.total > trial.total else trial
         noise = trial.noise
         run = _descended(problem, trial.point, noise, gain, 8, 1e-7)
-        if not problem.structure.is_linear and problem.in_time:
-            for _ in range(_FINER):
-                finer = problem.like(substeps=2 * problem.substeps)
-                if step_matters(problem, finer, run.point) < _STEP:
-                    break
-                problem, self.substeps = finer, max(self.substeps, finer.substeps)
-                run = _descended(problem, run.point, noise, gain, 6, 1e-7)
         if not np.isfinite(run.cost):
             return trial
-        return self._widths(self.scored(replace(trial, problem=problem, run=run)), gain)
+        trial = self.scored(replace(trial, problem=problem, run=run))
+        for _ in range(_FINER if problem.in_time and not problem.structure.is_linear else 0):
+            finer = problem.like(substeps=2 * problem.substeps)
+            run = descend(finer, trial.point, gain=gain, evaluations=1)
+            again = self.scored(replace(trial, problem=finer, run=run)) if np.isfinite(run.cost) else trial
+            if abs(again.total - trial.total) < _STEP:
+                break
+            problem, self.substeps = finer, max(self.substeps, finer.substeps)
+            run = _descended(problem, again.point, noise, gain, 6, 1e-7)
+            trial = self.scored(replace(again, run=run)) if np.isfinite(run.cost) else again
+        return self._widths(trial, gain)
 
     def _widths(self, trial: Trial, gain: Array | None) -> Trial:
         """Return the trial with the widths of jumps that the evidence prefers."""

@@ -139,6 +139,11 @@ class FormulaLaw(Law):
         return "w" in self.arguments and self.signals["w"] == "w"
 
     @property
+    def remembers(self) -> bool:
+        """Return whether the formula takes what was at the start of a step."""
+        return any(self.signals.get(name) in ("d_start", "z_start") for name in self.arguments)
+
+    @property
     def code(self) -> int:
         """Code of the law as it is now, valid in this process only."""
         made, law, slopes = self._made, self.law, self.slopes

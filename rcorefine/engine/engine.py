@@ -18,11 +18,12 @@ from ..effects.compiled import raise_pending
 from ..effects.formula import InputLaw, OutputLaw
 from ..exceptions import DivergenceError
 from ..gauss_newton import own_sizes
+from ..jit import NUMBA
 from ..systems.linear import Array
-from . import kernels
 from .controlled import sample_jumps, start_columns
 from .inputs import BAND_LIMITED_FACTOR, Drive, InputSignal, clock_drift
 from .linear import Corrections, simulate_linear
+from .march import MarchResult, MarchState, march
 from .matrices import continuous_matrices
 from .setting import Setting, setting
 from .structure import Structure
@@ -42,7 +43,7 @@ _NODES_FOR_DELAY = 8  # nodes per sample where an output is interpolated, or edg
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """Result of a simulation by the engine.
+    """MarchResult of a simulation by the engine.
 
     Attributes
     ----------
@@ -188,13 +189,14 @@ class Engine:
                     "other coefficients or bound them"
                 )
             return _trajectory(Yout, np.zeros((N, ny, p + n if apart else p)), X, F, 0)
-        observer = Corrections(self._measured, flags, K)
-        if lawless:
-            Yout, SY, X, blew_up = simulate_linear(
-                at.substep, drive, observer, x, S, self.substeps, self._far, _BEYOND
-            )
+        observer = Corrections(self._measured, flags, K, self._resets)
+        into = MarchResult(Yout, SY, X, F, self._far, _BEYOND, self.substeps)
+        if lawless and not NUMBA:
+            blew_up = simulate_linear(at.model.at, drive, observer, x, S, into)
         else:
-            blew_up = self._march(at, drive, observer, x, (S, self.substeps, Yout, SY, X, F))
+            blew_up = self._march(
+                at, drive, observer, MarchState(x, np.zeros(s.n_ports + s.n_outputs), S), into
+            )
         if apart:
             SY = np.concatenate([SY, self._decay(at, theta, K, N if blew_up < 0 else blew_up)], axis=2)
         if blew_up >= 0 and check:
@@ -208,18 +210,11 @@ class Engine:
         return _trajectory(Yout - self._level, SY, X, F, blew_up)
 
     def _march(
-        self, at: Setting, drive: Drive, observer: Corrections, x: Array, into: tuple[Any, ...]
+        self, at: Setting, drive: Drive, observer: Corrections, course: MarchState, into: MarchResult
     ) -> int:
-        """March over the record.
-
-        The laws leave their forces in the last array of `into`.
-        """
-        s = self.structure
-        z = np.zeros(s.n_ports + s.n_outputs)
-        given: list[Any] = [*at.substep, *at.laws, *drive, *observer, self._resets, *at.outputs, x, z, *into]
-        given += [_BEYOND, self._far, *at.field]
+        """March over the record."""
         with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
-            blew_up: int = kernels.march(*given)
+            blew_up: int = march(at.model, drive, observer, course, into)
         raise_pending()
         return blew_up
 

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..jit import NUMBA, compiled, put, put_rows
 from ..systems.linear import Array
 from .inputs import Drive
-from .products import add_forcing, add_rows, apply, clear, take
+
+if TYPE_CHECKING:
+    from .march import MarchResult
 
 _FEW = 12  # samples that are cheaper one by one
 _LARGE = 1e60  # entries of a power of the transition: beyond, one by one, so that the overflow has its sample
@@ -30,10 +31,10 @@ class Substep(NamedTuple):
 
     Attributes
     ----------
-    M : ndarray, shape (grades, n, n + 2 n_w + 2 m)
+    M : ndarray, shape (grades, n, n + 2 n_w + 2 m) or (1, 2 n, n + 2 n_w + 3 m)
         Transition, and what inputs and forces at the start and at the end add: of a substep, of a quarter of
-        it, and so on.
-    dM : ndarray, shape (grades, q, n, n + 2 n_w + 2 m)
+        it, and so on. Or that to the middle of a substep and to its end, with forces amid it.
+    dM : ndarray, shape (grades, q, ...)
         Its derivatives by the parameters `linear`.
     linear : ndarray of int, shape (q,)
         Columns of the sensitivity that dM, dO and dP drive.
@@ -65,11 +66,14 @@ class Corrections(NamedTuple):
         Which of them correct the states.
     gain : ndarray, shape (n, n_y)
         Observer gain.
+    reset : ndarray, shape (n, n) or (0, 0)
+        The state becomes `reset` times the state at every sample, before anything else.
     """
 
     measured: Array
     use: NDArray[np.uint8]
     gain: Array
+    reset: Array
 
     @property
     def stretches(self) -> list[tuple[slice, Array]]:
@@ -151,11 +155,13 @@ def _marched(
     return before, after
 
 
+@np.errstate(all="ignore")  # what overflows is looked for
 def simulate_linear(
-    at: Substep, drive: Drive, corrections: Corrections, x: Array, S: Array, substeps: int, far: Array,
-    limit: float,
-) -> tuple[Array, Array, Array, int]:  # fmt: skip
+    at: Substep, drive: Drive, corrections: Corrections, x: Array, S: Array, into: MarchResult
+) -> int:
     """Simulate a linear model with its sensitivities.
+
+    Products over the whole record take the place of a loop.
 
     Parameters
     ----------
@@ -169,38 +175,16 @@ def simulate_linear(
         Initial state.
     S : ndarray, shape (p, n)
         Its derivatives.
-    substeps : int
-        Substeps per sample.
-    far : ndarray, shape (n_y,)
-        Largest size of each output.
-    limit : float
-        Largest size of a state.
+    into : MarchResult
+        Takes outputs, sensitivities and states, as `march` has them. From where it blew up on outputs and
+        states are NaN, derivatives zero.
 
     Returns
     -------
-    outputs : ndarray, shape (N, n_y)
-    sensitivity : ndarray, shape (N, n_y, p)
-    states : ndarray, shape (N, n)
-        At the samples, corrected.
-    blew_up : int
-        First sample beyond the bounds, or -1. From there on outputs and states are NaN, derivatives zero.
+    int
+        First sample beyond the bounds, or -1.
     """
-    n, p, N, ny = len(x), len(S), len(drive.Wout), len(at.O)
-    with np.errstate(all="ignore"):  # what overflows is looked for
-        if NUMBA:
-            y, X = np.full((N, ny), np.nan), np.full((N, n), np.nan)
-            sensitivity = np.zeros((N, ny, p))
-            into = x.copy(), S.copy(), substeps, y, sensitivity, X, limit, far
-            blew_up: int = linear_march(at.M[0], at.dM[0], *at[2:5], *drive, *corrections, *into)
-            return y, sensitivity, X, blew_up
-        return _in_blocks(at, drive, corrections, x, S, substeps, far, limit)
-
-
-def _in_blocks(
-    at: Substep, drive: Drive, corrections: Corrections, x: Array, S: Array, substeps: int, far: Array,
-    limit: float,
-) -> tuple[Array, Array, Array, int]:  # fmt: skip
-    n, p, (N, nw) = len(x), len(S), drive.Wout.shape
+    n, p, (N, nw), substeps = len(x), len(S), drive.Wout.shape, into.substeps
     C, D = np.ascontiguousarray(at.O[:, :n]), at.O[:, n : n + nw]
     over, ends = _Sample(at.M[0], substeps), _ends(drive.W, drive.course, substeps)
     stretches = corrections.stretches
@@ -211,10 +195,9 @@ def _in_blocks(
         one[:, :, 0] for one in _marched(over.Phi, C, stretches, x[:, None], added, direct, measured)
     )
     outputs, states = (C @ before + direct[:, :, 0]).T, after.T.copy()
-    inside: NDArray[np.bool_] = np.all(np.abs(outputs) <= far, axis=1)
-    inside[1:] &= (np.abs(before[:, 1:]) < limit).all(axis=0)
+    inside: NDArray[np.bool_] = np.all(np.abs(outputs) <= into.far, axis=1)
+    inside[1:] &= (np.abs(before[:, 1:]) < into.limit).all(axis=0)
     blew_up = -1 if inside.all() else int(inside.argmin())
-    sensitivity = np.zeros((N, len(C), p))
     if p:
         steps = np.concatenate([over.within(after[:, :-1], ends), ends])
         signals = np.concatenate([before, drive.Wout.T])
@@ -230,10 +213,12 @@ def _in_blocks(
             added[:, :, column] += over.gathered(pushes[..., None])[:, :, 0]
             direct[:, :, column] += D @ drive.dWout[r].T
         moved, _ = _marched(over.Phi, C, stretches, S[group].T, added, direct, 0.0 * measured)
-        sensitivity[:, :, group] = (_times(C, moved) + direct).transpose(1, 0, 2)
-    if blew_up >= 0:
-        outputs[blew_up:], states[blew_up:], sensitivity[blew_up:] = np.nan, np.nan, 0.0
-    return outputs, sensitivity, states, blew_up
+        into.sensitivity[:, :, group] = (_times(C, moved) + direct).transpose(1, 0, 2)
+    end = N if blew_up < 0 else blew_up
+    into.outputs[:end], into.sensitivity[end:] = outputs[:end], 0.0
+    if len(into.states):
+        into.states[:end] = states[:end]
+    return blew_up
 
 
 class _Sample:
@@ -368,84 +353,3 @@ def linear_responses(
             states, _ = _marched(Phi, C, [(slice(0, b - a), K)], start, added, direct, nothing)
             out[a:b, :, group] = (_times(C, states) + direct).transpose(1, 0, 2)
     return out
-
-
-@compiled
-def _enter(dw, at, dW, row, driven):  # type: ignore[no-untyped-def]
-    """Add the derivatives of the inputs to columns of dw.
-
-    They are those at one row of dW (r, rows, nw); the columns begin at `at`.
-    """
-    for r in range(driven.shape[0]):
-        for j in range(dW.shape[2]):
-            dw[driven[r], at + j] += dW[r, row, j]
-
-
-@compiled
-def _correct(x, S, K, i, error, sy):  # type: ignore[no-untyped-def]
-    """Correct the state, and its sensitivities, by the error of output i."""
-    for j in range(x.shape[0]):
-        x[j] += K[j, i] * error
-        for q in range(S.shape[0]):
-            S[q, j] -= K[j, i] * sy[q, i]
-
-
-@compiled
-def linear_march(  # type: ignore[no-untyped-def]  # arguments of `kernels.march`; M, dM of a substep
-    M, dM, linear, O, dO, W, course, Wout, dW, dWout, driven,
-    Y, use, K, x, S, substeps, Yout, SY, X, limit, far,
-):  # fmt: skip
-    """March over the record; return the first sample that blew up, or -1."""
-    n, nw, p, ny = x.shape[0], Wout.shape[1], S.shape[0], Yout.shape[1]
-    Phi, Gamma, C, D = np.zeros((n, n)), np.zeros((n, 2 * nw)), np.zeros((ny, n)), np.zeros((ny, nw))
-    take(Phi, M, 0)
-    take(Gamma, M, n)
-    take(C, O, 0)
-    take(D, O, n)
-    step, out, y = np.zeros(n + 2 * nw), np.zeros(n + nw), np.zeros(ny)
-    sy, S_next, dw, dw_out = np.zeros((p, ny)), np.zeros((p, n)), np.zeros((p, 2 * nw)), np.zeros((p, nw))
-    for k in range(Yout.shape[0]):
-        put(out, 0, x)
-        put(out, n, Wout[k])
-        apply(y, O, out)
-        if p > 0:
-            clear(sy)
-            add_rows(sy, S, C)
-            add_forcing(sy, linear, dO, out)
-            if driven.shape[0] > 0:
-                clear(dw_out)
-                _enter(dw_out, 0, dWout, k, driven)
-                add_rows(sy, dw_out, D)
-        for i in range(ny):
-            Yout[k, i] = y[i]
-            if not abs(y[i]) <= far[i]:
-                return k
-            for q in range(p):
-                SY[k, i, q] = sy[q, i]
-            if use[k, i]:
-                _correct(x, S, K, i, Y[k, i] - y[i], sy)
-        if X.shape[0] > 0:
-            put(X[k], 0, x)
-        if k == Yout.shape[0] - 1:
-            break
-        for s in range(substeps):
-            row = (k * substeps + s) * max(course, 1)
-            after = row + min(course, 1)
-            put(step, 0, x)
-            put(step, n, W[row])
-            put(step, n + nw, W[after])
-            apply(x, M, step)
-            if p > 0:
-                clear(S_next)
-                add_rows(S_next, S, Phi)
-                add_forcing(S_next, linear, dM, step)
-                if driven.shape[0] > 0:
-                    clear(dw)
-                    _enter(dw, 0, dW, row, driven)
-                    _enter(dw, nw, dW, after, driven)
-                    add_rows(S_next, dw, Gamma)
-                put_rows(S, S_next)
-        for j in range(n):
-            if not abs(x[j]) < limit:
-                return k + 1
-    return -1

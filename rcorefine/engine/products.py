@@ -7,103 +7,137 @@ the fast form in compiled code and the slow one in Python.
 
 from __future__ import annotations
 
+import numpy as np
+
 from ..jit import NUMBA, compiled, inlined
 
 if NUMBA:
 
     @inlined
-    def apply(out, M, z):
-        """Out = M z."""
-        for i in range(M.shape[0]):
+    def apply(out, M, z, row, at):
+        """Out = M z, of the rows of M from `row` on and the columns from `at` on."""
+        for i in range(out.shape[0]):
             total = 0.0
-            for j in range(M.shape[1]):
-                total += M[i, j] * z[j]
+            for j in range(M.shape[1] - at):
+                total += M[row + i, at + j] * z[j]
             out[i] = total
 
     @inlined
-    def add(out, M, z):
-        """Out += M z."""
-        for i in range(M.shape[0]):
+    def add(out, M, z, row, at):
+        """Out += M z, of the rows of M from `row` on and the columns from `at` on."""
+        for i in range(out.shape[0]):
             total = 0.0
-            for j in range(M.shape[1]):
-                total += M[i, j] * z[j]
+            for j in range(M.shape[1] - at):
+                total += M[row + i, at + j] * z[j]
             out[i] += total
 
-    @compiled
-    def add_rows(out, S, M):
-        """Out += S M', row by row."""
-        for p in range(S.shape[0]):
-            for i in range(M.shape[0]):
-                total = 0.0
-                for j in range(M.shape[1]):
-                    total += M[i, j] * S[p, j]
-                out[p, i] += total
+    # Eight lanes are written out: so they stay in registers.
+    @inlined
+    def add_product(L, to, rows, M, at, stride, frm, count):
+        """Rows of L from `to` on += M times its rows from `frm` on.
 
-    @compiled
-    def add_forcing(out, index, dM, z):
-        """Rows `index` of out += dM z."""
-        for q in range(dM.shape[0]):
-            p = index[q]
-            for i in range(dM.shape[1]):
-                total = 0.0
-                for j in range(dM.shape[2]):
-                    total += dM[q, i, j] * z[j]
-                out[p, i] += total
+        The first row of M stands in a row of numbers from `at` on, the next one `stride` further on.
+        """
+        for i in range(rows):
+            a, b, c, d = L[to + i, 0], L[to + i, 1], L[to + i, 2], L[to + i, 3]
+            e, f, g, h = L[to + i, 4], L[to + i, 5], L[to + i, 6], L[to + i, 7]
+            for j in range(count):
+                by = M[at + i * stride + j]
+                a += by * L[frm + j, 0]
+                b += by * L[frm + j, 1]
+                c += by * L[frm + j, 2]
+                d += by * L[frm + j, 3]
+                e += by * L[frm + j, 4]
+                f += by * L[frm + j, 5]
+                g += by * L[frm + j, 6]
+                h += by * L[frm + j, 7]
+            L[to + i, 0], L[to + i, 1], L[to + i, 2], L[to + i, 3] = a, b, c, d
+            L[to + i, 4], L[to + i, 5], L[to + i, 6], L[to + i, 7] = e, f, g, h
 
-    @compiled
-    def clear(out):
-        """Out = 0."""
-        for i in range(out.shape[0]):
+    @inlined
+    def add_each(L, to, rows, dM, at, count, tape, where):
+        """Rows of L from `to` on += dM z, each lane with its own dM.
+
+        Its rows (count, 8) begin at `at`; z stands on a tape from `where` on.
+        """
+        for i in range(rows):
+            a, b, c, d = L[to + i, 0], L[to + i, 1], L[to + i, 2], L[to + i, 3]
+            e, f, g, h = L[to + i, 4], L[to + i, 5], L[to + i, 6], L[to + i, 7]
+            for j in range(count):
+                by = tape[where + j]
+                a += by * dM[at + i, j, 0]
+                b += by * dM[at + i, j, 1]
+                c += by * dM[at + i, j, 2]
+                d += by * dM[at + i, j, 3]
+                e += by * dM[at + i, j, 4]
+                f += by * dM[at + i, j, 5]
+                g += by * dM[at + i, j, 6]
+                h += by * dM[at + i, j, 7]
+            L[to + i, 0], L[to + i, 1], L[to + i, 2], L[to + i, 3] = a, b, c, d
+            L[to + i, 4], L[to + i, 5], L[to + i, 6], L[to + i, 7] = e, f, g, h
+
+    @inlined
+    def combine(L, to, which, by):
+        """Row `to` = the sum of four rows, each times a number."""
+        (i, j, k, m), (p, q, r, s) = which, by
+        a = p * L[i, 0] + q * L[j, 0] + r * L[k, 0] + s * L[m, 0]
+        b = p * L[i, 1] + q * L[j, 1] + r * L[k, 1] + s * L[m, 1]
+        c = p * L[i, 2] + q * L[j, 2] + r * L[k, 2] + s * L[m, 2]
+        d = p * L[i, 3] + q * L[j, 3] + r * L[k, 3] + s * L[m, 3]
+        e = p * L[i, 4] + q * L[j, 4] + r * L[k, 4] + s * L[m, 4]
+        f = p * L[i, 5] + q * L[j, 5] + r * L[k, 5] + s * L[m, 5]
+        g = p * L[i, 6] + q * L[j, 6] + r * L[k, 6] + s * L[m, 6]
+        h = p * L[i, 7] + q * L[j, 7] + r * L[k, 7] + s * L[m, 7]
+        L[to, 0], L[to, 1], L[to, 2], L[to, 3] = a, b, c, d
+        L[to, 4], L[to, 5], L[to, 6], L[to, 7] = e, f, g, h
+
+    @inlined
+    def copy(L, to, frm, rows):
+        """Rows from `to` on = those from `frm` on."""
+        for i in range(rows):
+            for lane in range(8):
+                L[to + i, lane] = L[frm + i, lane]
+
+    @inlined
+    def clear(out, first, rows):
+        """Rows from `first` on = 0."""
+        for i in range(first, first + rows):
             for j in range(out.shape[1]):
                 out[i, j] = 0.0
 
-    @compiled
-    def take(out, M, at):
-        """Out = columns of M from `at` on."""
-        for i in range(out.shape[0]):
-            for j in range(out.shape[1]):
-                out[i, j] = M[i, at + j]
-
-    @compiled
-    def multiply(out, L, R):
-        """Out = L R."""
-        for i in range(out.shape[0]):
-            for j in range(out.shape[1]):
-                total = 0.0
-                for k in range(R.shape[0]):
-                    total += L[i, k] * R[k, j]
-                out[i, j] = total
-
 else:
 
-    def apply(out, M, z):
-        """Out = M z."""
-        out[:] = M @ z
+    def apply(out, M, z, row, at):
+        """Out = M z, of the rows of M from `row` on and the columns from `at` on."""
+        out[:] = M[row : row + out.size, at:] @ z[: M.shape[1] - at]
 
-    def add(out, M, z):
-        """Out += M z."""
-        out += M @ z
+    def add(out, M, z, row, at):
+        """Out += M z, of the rows of M from `row` on and the columns from `at` on."""
+        out += M[row : row + out.size, at:] @ z[: M.shape[1] - at]
 
-    def add_rows(out, S, M):
-        """Out += S M', row by row."""
-        out += S @ M.T
+    def add_product(L, to, rows, M, at, stride, frm, count):
+        """Rows of L from `to` on += M times its rows from `frm` on."""
+        if rows and count:
+            L[to : to + rows] += (
+                np.ndarray((rows, count), float, M, 8 * at, (8 * stride, 8)) @ L[frm : frm + count]
+            )
 
-    def add_forcing(out, index, dM, z):
-        """Rows `index` of out += dM z."""
-        if dM.shape[0]:  # none where no parameter reaches this matrix
-            out[index] += dM @ z
+    def add_each(L, to, rows, dM, at, count, tape, where):
+        """Rows of L from `to` on += dM z, each lane with its own dM."""
+        L[to : to + rows] += np.tensordot(dM[at : at + rows], tape[where : where + count], axes=(1, 0))
 
-    def clear(out):
-        """Out = 0."""
-        out[:] = 0.0
+    def combine(L, to, which, by):
+        """Row `to` = the sum of four rows, each times a number."""
+        (i, j, k, m), (p, q, r, s) = which, by
+        L[to] = p * L[i] + q * L[j] + r * L[k] + s * L[m]
 
-    def take(out, M, at):
-        """Out = columns of M from `at` on."""
-        out[:] = M[:, at : at + out.shape[1]]
+    def copy(L, to, frm, rows):
+        """Rows from `to` on = those from `frm` on."""
+        L[to : to + rows] = L[frm : frm + rows]
 
-    def multiply(out, L, R):
-        """Out = L R."""
-        out[:] = L @ R
+    def clear(out, first, rows):
+        """Rows from `first` on = 0."""
+        out[first : first + rows] = 0.0
 
 
 @compiled

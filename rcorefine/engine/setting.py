@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..systems.discretization import exponential, power_of_two
 from ..systems.linear import Array
 from .linear import Substep
+from .march import Discretized, FieldLaw, PortLaws, SensorLaws
 from .point import field_numbers
 
 if TYPE_CHECKING:
@@ -30,18 +31,13 @@ class Setting:
 
     Attributes
     ----------
-    substep : Substep
-        Matrices and their derivatives.
-    laws, outputs, field : tuple
-        Codes, numbers and columns of the laws at ports, of those of the sensors, and of the field.
+    model : Discretized
+        Matrices with their derivatives, and laws.
     finite : bool
         Whether the matrices are numbers.
     """
 
-    substep: Substep
-    laws: tuple[Any, ...]
-    outputs: tuple[Any, ...]
-    field: tuple[Any, ...]
+    model: Discretized
     finite: bool
 
     def decay(self, substeps: int, gain: Array, samples: int) -> Array:
@@ -49,7 +45,7 @@ class Setting:
 
         At every sample the outputs correct the states by a gain (n, n_y).
         """
-        M, O = self.substep.M[0], self.substep.O
+        M, O = self.model.at.M[0], self.model.at.O
         n = len(M)
         with np.errstate(all="ignore"):  # what grows beyond all numbers is noticed by who asks
             ahead = np.linalg.matrix_power(M[:, :n], substeps)
@@ -89,10 +85,44 @@ def setting(structure: Structure, theta: Array, step: float, derivatives: bool) 
         field, fvalues, fcolumns = field_numbers(structure, theta)
         if not derivatives:
             columns, outcolumns, fcolumns = (np.full_like(one, -1) for one in (columns, outcolumns, fcolumns))
-        laws, outputs = (codes, values, columns, widths), (outcodes, outvalues, outcolumns)
-        return Setting(substep, laws, outputs, (field, fvalues, fcolumns), bool(np.isfinite(substep.M).all()))
+        ports, sensors = PortLaws(codes, values, columns, widths), SensorLaws(outcodes, outvalues, outcolumns)
+        model = Discretized(substep, ports, sensors, FieldLaw(field, fvalues, fcolumns))
+        return Setting(model, bool(np.isfinite(substep.M).all()))
 
     return structure.kept(("setting", theta.tobytes(), step, derivatives), made)
+
+
+def _amid_and_end(
+    Phi: NDArray[Any], level: NDArray[Any], slope: NDArray[Any], bend: NDArray[Any], nw: int
+) -> NDArray[Any]:
+    """Return the matrices of a substep for its middle and its end.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (2, k, n, n)
+        Transitions over the substep, and over half of it.
+    level, slope : ndarray, shape (2, k, n, n_w + m)
+        What inputs and forces add, and what their slopes add: the derivative by the share of the time.
+    bend : ndarray, shape (2, k, n, m)
+        What the second derivatives of the forces add.
+    nw : int
+        Number of inputs.
+
+    Returns
+    -------
+    ndarray, shape (1, k, 2 n, n + 2 n_w + 3 m)
+        Behind state and inputs stand the forces at the start, amid the substep and at its end.
+    """
+    # the parabola through f0, fm, f1 has the slope - 3 f0 + 4 fm - f1 and the bend 4 f0 - 8 fm + 4 f1;
+    # half the time halves the slope and quarters the bend
+    parts = []
+    for which, share in ((1, 0.5), (0, 1.0)):
+        by_level, by_slope, by_bend = level[which], share * slope[which], share**2 * bend[which]
+        inputs = [by_level[..., :nw] - by_slope[..., :nw], by_slope[..., :nw]]
+        f_level, f_slope = by_level[..., nw:], by_slope[..., nw:]
+        forces = [f_level - 3 * f_slope + 4 * by_bend, 4 * f_slope - 8 * by_bend, 4 * by_bend - f_slope]
+        parts.append(np.concatenate([Phi[which], *inputs, *forces], axis=2))
+    return np.concatenate(parts, axis=1)[None]
 
 
 TINY_STEP = 1e-30  #: of the imaginary parts by which derivatives are taken
@@ -103,31 +133,38 @@ def discretized(
 ) -> Substep:
     """One substep of length `step` seconds and, where asked for, its pieces.
 
-    They are exact for the linear part. Inputs and port forces run linearly over each; a held input is the
-    special case of equal ends.
+    They are exact for the linear part. Inputs run linearly over each; a held input is the special case of
+    equal ends. Forces run linearly, too, or as parabolas through those amid the substep: see `march`.
     """
     linear = structure.absorbed if derivatives else np.zeros(0, dtype=np.int64)
     at = tiny_steps(structure, theta, linear)
     n, drive = structure.n_states, structure.n_inputs + 1 + structure.n_forces
-    size = n + 2 * drive
-    grades = GRADES if pieces else 1
+    nw, parabolas = structure.n_inputs + 1, structure.stages == 2
+    size = n + 2 * drive + parabolas * structure.n_forces
+    grades = 1 + parabolas if not pieces else GRADES
     blocks = np.zeros((grades, len(at.A), size, size), at.A.dtype)
     # units of inputs, outputs and forces must not cost digits of A
     states = _inner_scale(structure, at.A[0].real)[:, None]
     pushes = states * np.concatenate([at.B, at.E], axis=2)
     columns = power_of_two(np.abs(pushes[0].real).max(axis=0, initial=0.0))
-    steps = step / 4.0 ** np.arange(grades)[:, None, None, None]
+    steps = step / (2.0 if parabolas else 4.0) ** np.arange(grades)[:, None, None, None]
     blocks[:, :, :n, :n] = states * at.A / states.T * steps
     blocks[:, :, :n, n : n + drive] = pushes / columns * steps
-    blocks[:, :, n : n + drive, n + drive :] = np.eye(drive)
+    blocks[:, :, n : n + drive, n + drive : n + 2 * drive] = np.eye(drive)
+    if parabolas:  # forces have a second derivative
+        blocks[:, :, n + drive + nw : n + 2 * drive, n + 2 * drive :] = np.eye(structure.n_forces)
     with np.errstate(over="ignore", invalid="ignore"):  # the engine says so where a model blows up
         found = exponential(blocks.reshape(-1, size, size))
         exponentials = found.reshape(blocks.shape)[:, :, :n] / states
         Phi = exponentials[..., :n] * states.T
-        second = exponentials[..., n + drive :] * columns
-        first = exponentials[..., n : n + drive] * columns - second
-    nw = structure.n_inputs + 1
-    M = np.concatenate([Phi, first[..., :nw], second[..., :nw], first[..., nw:], second[..., nw:]], axis=3)
+        level = exponentials[..., n : n + drive] * columns
+        slope = exponentials[..., n + drive : n + 2 * drive] * columns
+        bend = exponentials[..., n + 2 * drive :] * columns[nw : nw + parabolas * structure.n_forces]
+    if parabolas:
+        M = _amid_and_end(Phi, level, slope, bend, nw)
+    else:
+        first = level - slope
+        M = np.concatenate([Phi, first[..., :nw], slope[..., :nw], first[..., nw:], slope[..., nw:]], axis=3)
     O = np.concatenate([at.C, at.D, at.G], axis=2)
     with np.errstate(over="ignore"):
         dM = M[:, : len(linear)].imag / TINY_STEP

@@ -280,7 +280,7 @@ class Structure:
         """
         m = self.n_ports
         codes = np.zeros(m, dtype=np.int64)
-        values = np.zeros((m, MAX_COEFFICIENTS + 2))
+        values = np.zeros((m, MAX_COEFFICIENTS + 3))
         columns = np.full((m, MAX_COEFFICIENTS), -1, dtype=np.int64)
         widths = np.ones(m)
         for row, index in enumerate(self._port_effects):
@@ -289,7 +289,7 @@ class Structure:
             codes[row] = law.code
             found = self.law_values(theta, index)
             values[row, : len(found)] = found
-            values[row, MAX_COEFFICIENTS:] = law.feels_inputs, law.jumps
+            values[row, MAX_COEFFICIENTS:] = law.feels_inputs, law.jumps, law.remembers
             columns[row, : len(law.coefficients)] = self.law_columns(index)
             widths[row] = self.constants.get(index, 1.0)
         return codes, values, columns, widths
@@ -338,6 +338,16 @@ class Structure:
     def jumps(self) -> bool:
         """Return whether a force jumps with the sign of a velocity."""
         return any(self.effects[index].spec.jumps for index in self._port_effects)
+
+    @cached_property
+    def stages(self) -> int:
+        """Return at how many points of a substep forces are found.
+
+        They are found at its middle, too, unless one of them jumps or remembers.
+        """
+        laws = [self.effects[index].spec for index in self._port_effects]
+        straight = not self.n_forces or any(isinstance(s, PortLaw) and (s.jumps or s.remembers) for s in laws)
+        return 1 if straight else 2
 
     @property
     def port_columns(self) -> NDArray[np.int64]:

@@ -81,7 +81,7 @@ class Fit:
             self.problem = self.build(self.segments, self.steps)
             point = self.problem.pack(*rival.problem.unpack(rival.result.x))
         else:
-            self.steps = substeps or (1 if self.structure.is_linear else 2)
+            self.steps = substeps or (1 if self.structure.is_linear else 3 - self.structure.stages)
             point, found = search(self.build, self.structure, self.segments, motion, self.steps)
             self.steps = substeps or found
             self.problem = self.build(self.segments, self.steps)
@@ -92,7 +92,7 @@ class Fit:
 
         The known initial states are used if they fit the records better than estimated ones.
         """
-        self.steps = max(steps, 1 if self.structure.is_linear else 2)
+        self.steps = steps
         self.problem = self.build(self.segments, self.steps)
         theta = self.structure.start()
         points = [self.problem.pack(theta, starting_states(self.problem, theta))]

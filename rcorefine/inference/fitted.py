@@ -176,8 +176,7 @@ class FittedModel:
         structure = Structure(old.physical_model, base.effects, constants=widths)
         roles = [*old.roles, *("effect" for _ in effects)]
         mean, sd = priors(structure, roles, self.tolerance)
-        steps = max(old.substeps, 1 if structure.is_linear else 2)
-        problem = self.problem.like(structure, prior_mean=mean, prior_sd=sd, substeps=steps)
+        problem = self.problem.like(structure, prior_mean=mean, prior_sd=sd, substeps=old.substeps)
         theta, starts = self.problem.unpack(self.point)
         full = np.concatenate([theta, structure.start()[theta.size :]])
         added = structure.n_states - starts.shape[1]

@@ -322,7 +322,7 @@ def _with(fitted: FittedModel, curve: Curve, point: Array, values: Array) -> Fit
     effect = Effect(curve.kind, curve.place, law=curve.table(values), fixed={"scale": 1.0})
     base = fitted.structure
     structure = Structure(base.model, [*base.effects, effect], constants=base.constants)
-    problem = fitted.problem.like(structure, substeps=max(fitted.refinement.substeps, 2))
+    problem = fitted.problem.like(structure, substeps=fitted.refinement.substeps)
     return FittedModel(fitted.refinement, problem, point, fitted.tolerance, fitted.force_at)
 
 

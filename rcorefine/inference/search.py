@@ -278,8 +278,8 @@ def sufficient_steps(
     Returns
     -------
     int
-        The present number where it suffices; otherwise the number that the second
-        order of the integration asks for (to be judged again), 8 times as many at most.
+        The present number where it suffices; otherwise the number that the order of the integration asks for
+        (to be judged again), 8 times as many at most.
     """
     steps = coarse.substeps
     if coarse.structure.is_linear or not coarse.in_time or steps >= _MOST_SUBSTEPS:
@@ -287,7 +287,8 @@ def sufficient_steps(
     shift = step_matters(coarse, problem(segments, 2 * steps, coarse.free_start), point)
     if shift < _STEP_SHARE:
         return steps
-    factor = 2 ** int(np.ceil(0.5 * np.log2(shift / _STEP_SHARE))) if np.isfinite(shift) else 2
+    order = 2 * coarse.structure.stages
+    factor = 2 ** int(np.ceil(np.log2(shift / _STEP_SHARE) / order)) if np.isfinite(shift) else 2
     return steps * min(max(factor, 2), 8)
 
 

@@ -200,8 +200,8 @@ def _carrier(
     widths.update(old.constants)
     structure = Structure(old.physical_model, base.effects, constants=widths)
     theta = np.concatenate([fitted.theta, structure.start()[fitted.theta.size :]])
-    steps = max(old.substeps, 1 if structure.is_linear else 2)
-    return structure, theta, [engine_on(structure, r, substeps=steps) for r in fitted.problem.records]
+    engines = [engine_on(structure, r, substeps=old.substeps) for r in fitted.problem.records]
+    return structure, theta, engines
 
 
 def _sensitivities(

@@ -19,7 +19,8 @@ from ...effects.channels import OutputOffset
 from ...effects.effect import Effect, as_effects
 from ...effects.formula import InputLaw, OutputLaw
 from ...engine.engine import Engine
-from ...engine.kernels import address_of_march
+from ...engine.march import address_of_march
+from ...engine.setting import setting
 from ...engine.structure import Structure
 from ...exceptions import IdentifiabilityWarning, ModelError, warn
 from ...inference.whitening import autoregression
@@ -125,8 +126,12 @@ class EffectsSetup(CoefficientSetup):
                 [*head, M.ravel(), disc.O.ravel(), dM.ravel(), disc.dO.ravel(), disc.linear]
             )
             return Kernel(sizes, fixed, None, floor)
-        codes, values, columns, widths = s.laws(memory.centre)
-        outcodes, outvalues, outcolumns = s.output_laws(memory.centre)
+        model = setting(s, memory.centre, step, True).model
+        # the filter fills in its coefficients
+        model = model._replace(
+            ports=model.ports._replace(values=model.ports.values.copy()),
+            sensors=model.sensors._replace(values=model.sensors.values.copy()),
+        )
         r = len(s.input_statics)
         statics, levels = np.zeros((r, 6), dtype=np.int64), np.zeros((r, 4))
         statics[:, 2:] = -1
@@ -137,9 +142,7 @@ class EffectsSetup(CoefficientSetup):
             statics[i, 2 : 2 + len(law.coefficients)] = s.law_columns(index)
             levels[i, : len(found)] = found
         laws = Laws(
-            address_of_march(), disc.M, disc.dM, disc.linear, disc.O, disc.dO, disc.P, disc.dP,
-            codes, values, columns, widths,
-            statics, levels, outcodes, outvalues, outcolumns, self.substeps, hold == "foh", dt,
+            address_of_march(), model, statics, levels, self.substeps, hold == "foh", dt,
         )  # fmt: skip
         return Kernel(sizes, np.concatenate(head), laws, floor)
 
@@ -281,7 +284,7 @@ def make_effects_setup(
     bare = Structure(physical, effects)
     if bare.n_parameters == 0:
         raise ModelError("every coefficient of the effects is fixed; leave at least one free")
-    steps = 4 if substeps is None else as_whole(substeps, "substeps", least=1, error=ModelError)
+    steps = 3 - bare.stages if substeps is None else as_whole(substeps, "substeps", least=1, error=ModelError)
     return EffectsSetup(physical, tuple(effects), settings, 1 if bare.is_linear else steps)
 
 

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects.compiled import raise_pending
-from ...engine.kernels import march_at
+from ...engine.inputs import Drive
+from ...engine.march import MarchState, march_at
 from ...jit import compiled, put, put_rows
 from ...systems.linear import Array
 from ..samples import Block
@@ -316,8 +317,8 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
     else:
         inputs = inputs_of(laws.statics, laws.substeps, laws.foh, nu, kept)
         Wn, Wout, dW, dWout, affected = inputs.W, inputs.Wout, inputs.dW, inputs.dWout, inputs.driven
-        Ms, O, Y, S_all, SY_all, S_few, SY_few, measured, unused, none, X0, F0 = march_of(sizes, laws)
-    w, anywhere = np.ones(nu), np.full(ny, np.inf)
+        model, nobody, S_all, into_all, S_few, into_few = march_of(sizes, laws, limit)
+    w = np.ones(nu)
     for k in range(block.inputs.shape[0]):
         put(w, 0, block.inputs[k])
         if counters[0] == 0:
@@ -349,26 +350,19 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
                     through_state(H, Oc, F)
             else:
                 push(ring, w)
-                shift_matrices(Ms, O, laws.Ms, laws.dMs, laws.O, laws.dO, laws.linear, theta, centre)
-                fill(laws.values, laws.columns, 0, theta)
-                fill(laws.outvalues, laws.outcolumns, 0, theta)
+                shift_matrices(model.at, laws.model.at, theta, centre)
+                fill(model.ports.values, model.ports.columns, 0, theta)
+                fill(model.sensors.values, model.sensors.columns, 0, theta)
                 hold(ring, laws.substeps, laws.foh, Wn, Wout)
                 if laws.statics.shape[0] > 0:
                     fill(laws.levels, laws.statics, 2, theta)
                     drive(ring, laws.statics, laws.levels, laws.substeps, laws.foh, laws.dt, inputs)
-                through, shown = (S_all, SY_all) if uncertain else (S_few, SY_few)
+                through, into = (S_all, into_all) if uncertain else (S_few, into_few)
                 enter(through, S)
-                blew_up = march_at(
-                    laws.march, Ms, laws.dMs, laws.linear, O, laws.dO, laws.P, laws.dP,
-                    laws.codes, laws.values, laws.columns, laws.widths, Wn, int(laws.foh), Wout, dW, dWout,
-                    affected, measured, unused, none, np.zeros((0, 0)), laws.outcodes, laws.outvalues,
-                    laws.outcolumns, x, z, through,
-                    laws.substeps, Y, shown, X0, F0, limit, anywhere,
-                    0, np.zeros((1, 0)), np.zeros(0, dtype=np.int64),
-                )  # fmt: skip
-                if blew_up >= 0:
+                acting = Drive(Wn, int(laws.foh), Wout, dW, dWout, affected)
+                if march_at(laws.march, model, acting, nobody, MarchState(x, z, through), into) >= 0:
                     return k, DIVERGED
-                read(through, shown, Y, S, yhat, h, F, H)
+                read(through, into.sensitivity, into.outputs, S, yhat, h, F, H)
 
             # correct with one output after the other
             put(predicted, 0, yhat)

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...effects.compiled import COUNT, evaluate
+from ...engine.linear import Corrections, Substep
+from ...engine.march import Discretized, MarchResult
 from ...jit import compiled, put, put_rows
 from ...systems.linear import Array
 
@@ -209,47 +211,39 @@ def drive(ring, statics, levels, substeps, foh, dt, room):
 class Laws(NamedTuple):
     """A model with laws, discretized: as the engine's `march` takes it.
 
-    march : address of that; Ms, dMs, O, dO, P, dP, codes, values, columns, widths, outcodes,
-    outvalues, outcolumns, substeps : as there; linear : coefficients that the matrices depend on;
-    statics, levels : laws of the inputs and their coefficients, as `input_laws` takes them; foh : whether
-    inputs are linear between samples; dt : sampling time.
+    march : address of that; model, substeps : as there; statics, levels : laws of the inputs and their
+    coefficients, as `input_laws` takes them; foh : whether inputs are linear between samples; dt : sampling
+    time.
     """
 
     march: int
-    Ms: Array
-    dMs: Array
-    linear: NDArray[np.int64]
-    O: Array
-    dO: Array
-    P: Array
-    dP: Array
-    codes: NDArray[np.int64]
-    values: Array
-    columns: NDArray[np.int64]
-    widths: Array
+    model: Discretized
     statics: NDArray[np.int64]
     levels: Array
-    outcodes: NDArray[np.int64]
-    outvalues: Array
-    outcolumns: NDArray[np.int64]
     substeps: int
     foh: bool
     dt: float
 
 
 @compiled
-def march_of(sizes, laws):
+def march_of(sizes, laws, limit):
     """Room for the march over one interval.
 
-    Ms, O : matrices at the present coefficients; Y : outputs; S, SY : sensitivities of state and outputs
-    to the coefficients, and to the state before; S_settled, SY_settled : where that no longer matters;
-    measured, unused, gain : nothing that corrects; X, F : nothing that is recorded.
+    model : its matrices at the present coefficients; nobody : nothing that corrects; S, into :
+    sensitivities of the state and results, by the coefficients and by the state before; S_settled,
+    into_settled : where that no longer matters.
     """
     n, p, ny = sizes[0], sizes[1], sizes[3]
+    at, ports, sensors, field = laws.model
+    now = Substep(at.M.copy(), at.dM, at.linear, at.O.copy(), at.dO, at.P, at.dP)
+    nobody = Corrections(
+        np.zeros((2, ny)), np.zeros((2, ny), dtype=np.uint8), np.zeros((n, ny)), np.zeros((0, 0))
+    )
+    Y, X, F, anywhere = np.zeros((2, ny)), np.zeros((0, n)), np.zeros((0, 0)), np.full(ny, np.inf)
     return (
-        laws.Ms.copy(), laws.O.copy(), np.zeros((2, ny)), np.zeros((p + n, n)), np.zeros((2, ny, p + n)),
-        np.zeros((p, n)), np.zeros((2, ny, p)), np.zeros((2, ny)), np.zeros((2, ny), dtype=np.uint8),
-        np.zeros((n, ny)), np.zeros((0, n)), np.zeros((0, laws.codes.shape[0])),
+        Discretized(now, ports, sensors, field), nobody,
+        np.zeros((p + n, n)), MarchResult(Y, np.zeros((2, ny, p + n)), X, F, anywhere, limit, laws.substeps),
+        np.zeros((p, n)), MarchResult(Y, np.zeros((2, ny, p)), X, F, anywhere, limit, laws.substeps),
     )  # fmt: skip
 
 
@@ -275,16 +269,17 @@ def fill(values, columns, first, theta):
 
 
 @compiled
-def shift_matrices(Ms, O, given_Ms, dMs, given_O, dO, linear, theta, centre):
+def shift_matrices(now, given, theta, centre):
     """Update the matrices to the present coefficients, to first order.
 
     The expansion is about the coefficients that the matrices were discretized for.
     """
+    Ms, O, linear = now.M, now.O, now.linear
     if linear.shape[0] == 0:
         return
     for grade in range(Ms.shape[0]):
-        put_rows(Ms[grade], given_Ms[grade])
-    put_rows(O, given_O)
+        put_rows(Ms[grade], given.M[grade])
+    put_rows(O, given.O)
     for r in range(linear.shape[0]):
         shift = theta[linear[r]] - centre[linear[r]]
         if shift == 0.0:
@@ -292,10 +287,10 @@ def shift_matrices(Ms, O, given_Ms, dMs, given_O, dO, linear, theta, centre):
         for i in range(Ms.shape[1]):
             for j in range(Ms.shape[2]):
                 for grade in range(Ms.shape[0]):
-                    Ms[grade, i, j] += dMs[grade, r, i, j] * shift
+                    Ms[grade, i, j] += now.dM[grade, r, i, j] * shift
         for i in range(O.shape[0]):
             for j in range(O.shape[1]):
-                O[i, j] += dO[r, i, j] * shift
+                O[i, j] += now.dO[r, i, j] * shift
 
 
 @compiled

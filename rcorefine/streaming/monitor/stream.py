@@ -16,8 +16,9 @@ from scipy.signal import lfilter
 
 from ...effects.compiled import raise_pending
 from ...engine.inputs import InputSignal
-from ...engine.kernels import march
-from ...engine.point import field_numbers
+from ...engine.linear import Corrections
+from ...engine.march import MarchResult, MarchState, march
+from ...engine.setting import setting
 from ...engine.simulation import structure_of
 from ...engine.structure import Structure
 from ...exceptions import DivergenceError, ModelError
@@ -90,11 +91,7 @@ class Observer:
         s = self.structure = structure
         self.theta, self.dt, self.hold, self.substeps = theta, dt, hold, substeps
         self.gain = np.ascontiguousarray(gain)
-        self._disc = s.discretize(theta, dt / substeps, derivatives=False, pieces=s.jumps)
-        codes, values, columns, widths = s.laws(theta)
-        self._laws = codes, values, np.full_like(columns, -1), widths
-        outcodes, outvalues, outcolumns = s.output_laws(theta)
-        self._out = outcodes, outvalues, np.full_like(outcolumns, -1)
+        self._model = setting(s, theta, dt / substeps, False).model
         delays = [
             float(s.value(theta, i, s.effects[i].coefficients[0]))
             for i, _ in s.input_statics
@@ -144,7 +141,7 @@ class Observer:
         states : ndarray, shape (N, n)
             States after the correction.
         """
-        s, disc = self.structure, self._disc
+        s = self.structure
         past = memory["w"]
         before = min(len(past), 1)  # the sample before, from which the first step starts
         whole = np.concatenate([past, W])
@@ -157,15 +154,14 @@ class Observer:
         x, z = memory["x"].copy(), memory["z"].copy()
         Yout, SY = np.full((N, ny), np.nan), np.zeros((N, ny, 0))
         X, F = np.full((N, n), np.nan), np.full((N if m else 0, m), np.nan)
-        none = np.zeros((0, 1, s.n_inputs + 1))
         limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0) + np.abs(Y).max() + np.abs(W).max()))
-        blew_up = march(
-            disc.M, disc.dM, disc.linear, disc.O, disc.dO, disc.P, disc.dP, *self._laws,
-            np.ascontiguousarray(drive.W[skip * self.substeps * max(drive.course, 1) :]), drive.course,
-            np.ascontiguousarray(drive.Wout[skip:]), none, none, np.zeros(0, dtype=np.int64),
-            measured, flags, self.gain, np.zeros((0, 0)), *self._out, x, z, np.zeros((0, n)), self.substeps,
-            Yout, SY, X, F, limit, np.full(ny, np.inf), *field_numbers(s, self.theta),
-        )  # fmt: skip
+        first_row = skip * self.substeps * max(drive.course, 1)
+        now = drive.held._replace(
+            W=np.ascontiguousarray(drive.W[first_row:]), Wout=np.ascontiguousarray(drive.Wout[skip:])
+        )
+        observer = Corrections(measured, flags, self.gain, np.zeros((0, 0)))
+        into = MarchResult(Yout, SY, X, F, np.full(ny, np.inf), limit, self.substeps)
+        blew_up = march(self._model, now, observer, MarchState(x, z, np.zeros((0, n))), into)
         raise_pending()
         if blew_up >= 0:
             raise DivergenceError(
