@@ -345,6 +345,10 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
 
     rows = table(search)
     found = answer(search, rows, passed)
+    if found.verdict != "unexplained" and found.trial.effects:
+        settled = search.settled(found.trial)
+        agreements[settled] = agreements.get(found.trial, (1.0, ""))
+        found = found._replace(trial=settled)
     said = [sentence for _, sentence in [agreements.get(found.trial, (1.0, ""))] if sentence]
     return _told(search, rows, found, said, validation)
 

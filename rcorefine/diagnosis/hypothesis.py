@@ -25,6 +25,7 @@ from .residual_tests import TestedResidual
 
 #: Prior probability of each relative standard deviation (spread) of the parameters.
 SPREADS = {0.05: 0.6, 0.2: 0.3, 1.0: 0.1}
+_NEAR = 5.0  # standard deviations, by which derivatives hardly change
 _FINE = 8  # times the substeps of the fit
 _EXACT = 0.1  # of its noise, below which a residual is that of the arithmetic
 _EQUAL = 0.01  # difference of the outputs of equal hypotheses, as a share of their change
@@ -154,6 +155,8 @@ class Trial:
         Standard deviations of the coefficients.
     size : float
         Norm of the reduction of the whitened residual by the effects.
+    lack : float
+        Log evidence that one more step would gain: small only at a minimum.
     """
 
     hypothesis: Hypothesis
@@ -164,6 +167,7 @@ class Trial:
     log_evidence: dict[float, float] = field(init=False)
     sd: Array = field(init=False)
     size: float = field(init=False)
+    lack: float = field(init=False)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -194,6 +198,14 @@ class Trial:
         if len(self.log_evidence) == 1:
             return next(iter(self.log_evidence.values()))
         return float(np.logaddexp.reduce([v + np.log(SPREADS[s]) for s, v in self.log_evidence.items()]))
+
+    def near(self, other: Trial) -> bool:
+        """Return whether another fit of the same hypothesis is near.
+
+        Then sensitivities at one are sensitivities at the other.
+        """
+        own, its = (trial.problem.unpack(trial.point)[0] for trial in (self, other))
+        return bool(np.all(np.abs(own - its) <= _NEAR * self.sd))
 
     @cached_property
     def surest(self) -> list[float]:
@@ -464,6 +476,7 @@ def evidence(
         return noise.log_likelihood + here - 0.5 * float(np.linalg.slogdet(A)[1]), there - here
 
     at_point, lack = value(prior_sd)
+    trial.lack = lack
     trial.log_evidence = {0.0: at_point}
     numbers, fitted_under = slice(held, p0), trial.hypothesis.spread
     if fitted_under:

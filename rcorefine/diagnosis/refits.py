@@ -22,7 +22,10 @@ from .hypothesis import Hypothesis, Start, Trial, evidence, likeliest_noise, wei
 from .noise import Noise
 
 _SHARES = (1.0, 0.4, 0.1)  # shares of the starting sizes: the linear solution may diverge
-_STEP = 1.0  # log evidence that halving the substep may change
+_STEP, _RANKED_STEP = (
+    1.0,
+    3.0,
+)  # log evidence that halving the substep may change: where jumps fall does by one
 _WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a jump is smoothed
 _NOISE_ROUNDS, _FINER, _WIDER = 3, 3, 4
 _HOPE = 3.0  # times the predicted gain of the next step, that a descent may still gain
@@ -230,16 +233,28 @@ class Fitter:
         if not np.isfinite(run.cost):
             return trial
         trial = self.scored(replace(trial, problem=problem, run=run))
-        for _ in range(_FINER if problem.in_time and not problem.structure.is_linear else 0):
-            finer = problem.like(substeps=2 * problem.substeps)
+        return self._widths(self.settled(trial, ranked=True), gain)
+
+    def settled(self, trial: Trial, *, ranked: bool = False) -> Trial:
+        """Return the trial with substeps that no longer matter.
+
+        Half of them must not change the log evidence by `_STEP`. Where the trial is only `ranked` they must not
+        do so by `_RANKED_STEP` with the coefficients that they ask for.
+        """
+        gain = _gain(trial.base, trial.problem, trial.hypothesis.ratio)
+        for _ in range(_FINER if trial.problem.in_time and not trial.is_linear else 0):
+            finer = trial.problem.like(substeps=2 * trial.problem.substeps)
             run = descend(finer, trial.point, gain=gain, evaluations=1)
-            again = self.scored(replace(trial, problem=finer, run=run)) if np.isfinite(run.cost) else trial
-            if abs(again.total - trial.total) < _STEP:
+            if not np.isfinite(run.cost):
                 break
-            problem, self.substeps = finer, max(self.substeps, finer.substeps)
-            run = _descended(problem, again.point, noise, gain, 6, 1e-7)
+            again = self.scored(replace(trial, problem=finer, run=run))
+            change = again.total - trial.total + ranked * (again.lack - trial.lack)
+            if abs(change) < (_RANKED_STEP if ranked else _STEP):
+                break
+            run = _descended(finer, again.point, trial.noise, gain, 6, 1e-7)
             trial = self.scored(replace(again, run=run)) if np.isfinite(run.cost) else again
-        return self._widths(trial, gain)
+            self.substeps = max(self.substeps, finer.substeps) if ranked else self.substeps
+        return trial
 
     def _widths(self, trial: Trial, gain: Array | None) -> Trial:
         """Return the trial with the widths of jumps that the evidence prefers."""

@@ -16,7 +16,7 @@ from ..effects.effect import Effect
 from ..exceptions import DivergenceError, ModelError
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
-from ..inference.sensitivities import candidate_columns
+from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.starts import estimated_motion
 from ..inference.whitening import Whitener, innovations
 from .beside import Beside, FreeStiffness
@@ -107,6 +107,7 @@ class Search:
         self.driven = case.in_time and not at_rest(case.ordered)
         self._bases: dict[frozenset[Nuisance], FittedModel] = {frozenset(): self.fitted}
         self._criticism: dict[Trial, Criticism] = {}
+        self._columns: dict[Any, tuple[Trial, list[Candidate]]] = {}  # of candidates, by hypothesis
         self._done: set[Any] = set()
         self._polished: dict[Trial, int] = {}  # substeps that sufficed then
         self._spare: dict[Trial, bool] = {}
@@ -655,6 +656,16 @@ class Search:
         """Return whether a trial passes the residual tests (see `Criticism`)."""
         return self.criticized(trial).passed
 
+    def settled(self, trial: Trial) -> Trial:
+        """Return a trial with the substeps that its coefficients need.
+
+        Its residual is the same.
+        """
+        with self.case.progress.step("substeps"):
+            settled = self.fitter.settled(trial)
+        self._criticism[settled] = self.criticized(trial)
+        return settled
+
     def criticized(self, trial: Trial) -> Criticism:
         """Return the results of the residual tests of a trial, computed once."""
         if trial not in self._criticism:
@@ -699,9 +710,11 @@ class Search:
         rest = not_held(self.case.library, fitted.structure.effects)
         if fitted.problem.dwells:  # a harmonic balance of two nonlinear effects is slow
             rest = [e for e in rest if e.spec.linear or e.spec.delays]
-        near = in_race(fitted, rest, (ratio,))
-        scored = candidate_columns(fitted, near, motions[0], (ratio,))
-        return run_tests(trial.tested, scored, motions, len(rest) - len(near), others)
+        known, scored = self._columns.get(trial.hypothesis.key, (None, []))
+        if known is None or not trial.near(known):
+            scored = candidate_columns(fitted, in_race(fitted, rest, (ratio,)), motions[0], (ratio,))
+            self._columns[trial.hypothesis.key] = trial, scored
+        return run_tests(trial.tested, scored, motions, len(rest) - len(scored), others)
 
 
 def _of_channel(effect: Effect) -> bool:
