@@ -278,6 +278,7 @@ def _ask_twice(case: Case, validation: Measurement | None) -> Diagnosis:
 
 
 _LISTED = 20  # rows of a ranking
+_SETTLED = 10.0  # log evidence below the answer, within which coefficients get the substeps that they need
 _MATTERS = 0.2  # share of `Levels.off`: a smaller change may only compensate a wrong force law
 
 
@@ -345,11 +346,13 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
 
     rows = table(search)
     found = answer(search, rows, passed)
-    if found.verdict != "unexplained" and found.trial.effects:
-        settled = search.settled(found.trial)
-        agreements[settled] = agreements.get(found.trial, (1.0, ""))
-        found = found._replace(trial=settled)
     said = [sentence for _, sentence in [agreements.get(found.trial, (1.0, ""))] if sentence]
+    if found.verdict in ("effect", "ambiguous"):
+        near = [row for row in rows if row.effects and row.value > found.row.value - _SETTLED]
+        answered, *settled = search.settled([found.trial, *(row.trials[0] for row in near)])
+        found = found._replace(trial=answered)
+        for row, trial in zip(near, settled, strict=True):
+            row.trials[0] = trial
     return _told(search, rows, found, said, validation)
 
 

@@ -28,6 +28,7 @@ _STEP, _RANKED_STEP = (
 )  # log evidence that halving the substep may change: where jumps fall does by one
 _WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a jump is smoothed
 _NOISE_ROUNDS, _FINER, _WIDER = 3, 3, 4
+_GLANCE, _HOPELESS = 2, 20.0  # evaluations, after which a fit must promise to come that near to the leader
 _HOPE = 3.0  # times the predicted gain of the next step, that a descent may still gain
 _IMITATED, _IMITATIONS = 0.6, 3  # most share of a force that an imitation leaves; imitations tried
 
@@ -49,10 +50,12 @@ class Fitter:
     ----------
     substeps : int
         Most substeps per sample that an effect needed so far.
+    leader : float
+        Largest log evidence so far: a fit that does not promise to come near it ends early.
     """
 
     def __init__(self, fitted: FittedModel, motion: Motion, colored: bool = True) -> None:
-        self.fitted, self.motion, self.substeps = fitted, motion, 1
+        self.fitted, self.motion, self.substeps, self.leader = fitted, motion, 1, -np.inf
         self.before = fitted.residuals()
         self.cost = 0.5 * sum(float(np.sum(r**2)) for r in self.before)
         self.noise_of = likeliest_noise(fitted.problem, colored)
@@ -152,13 +155,23 @@ class Fitter:
                     break
         if not np.isfinite(lowest):
             return None
-        if noise is not None:
-            run = _descended(problem, nearest, noise, gain, evaluations)
-        else:
-            run = descend(problem, nearest, gain=gain, evaluations=evaluations)
-        if not np.isfinite(run.cost):
+        glance = self._descent(problem, nearest, noise, gain, _GLANCE)
+        if not np.isfinite(glance.cost):
             return None
-        return self._under_own_noise(Trial(hypothesis, base, problem, run), gain, evaluations)
+        trial = self.scored(Trial(hypothesis, base, problem, glance))
+        if trial.total + _HOPE * max(trial.lack, glance.lack) < self.leader - _HOPELESS:
+            return trial
+        run = self._descent(problem, glance.point, noise, gain, evaluations - 1)
+        trial = replace(trial, run=run if np.isfinite(run.cost) else glance)
+        return self._under_own_noise(trial, gain, evaluations)
+
+    def _descent(
+        self, problem: Problem, point: Array, noise: Noise | None, gain: Array | None, most: int
+    ) -> Descent:
+        """Descend in the metric of a noise, or of plain weights."""
+        if noise is None:
+            return descend(problem, point, gain=gain, evaluations=most)
+        return _descended(problem, point, noise, gain, most)
 
     def single(self, task: tuple[Effect, Sequence[Start]]) -> Trial | None:
         """Fit one effect in the model as it is, from several starts."""
@@ -235,8 +248,8 @@ class Fitter:
         trial = self.scored(replace(trial, problem=problem, run=run))
         return self._widths(self.settled(trial, ranked=True), gain)
 
-    def settled(self, trial: Trial, *, ranked: bool = False) -> Trial:
-        """Return the trial with substeps that no longer matter.
+    def settled(self, trial: Trial, least: int = 1, *, ranked: bool = False) -> Trial:
+        """Return the trial with substeps that no longer matter, but at least some.
 
         Half of them must not change the log evidence by `_STEP`. Where the trial is only `ranked` they must not
         do so by `_RANKED_STEP` with the coefficients that they ask for.
@@ -249,7 +262,7 @@ class Fitter:
                 break
             again = self.scored(replace(trial, problem=finer, run=run))
             change = again.total - trial.total + ranked * (again.lack - trial.lack)
-            if abs(change) < (_RANKED_STEP if ranked else _STEP):
+            if finer.substeps > least and abs(change) < (_RANKED_STEP if ranked else _STEP):
                 break
             run = _descended(finer, again.point, trial.noise, gain, 6, 1e-7)
             trial = self.scored(replace(again, run=run)) if np.isfinite(run.cost) else again

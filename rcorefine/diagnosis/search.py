@@ -184,6 +184,8 @@ class Search:
                     self.trials[i] = trial
                 return self.trials[i]
         self.trials.append(trial)
+        if self.determined(trial):
+            self.fitter.leader = max(self.fitter.leader, trial.total)
         return trial
 
     def try_(
@@ -656,15 +658,20 @@ class Search:
         """Return whether a trial passes the residual tests (see `Criticism`)."""
         return self.criticized(trial).passed
 
-    def settled(self, trial: Trial) -> Trial:
-        """Return a trial with the substeps that its coefficients need.
+    def settled(self, trials: Sequence[Trial]) -> list[Trial]:
+        """Return trials with the substeps that the coefficients of one need.
 
-        Its residual is the same.
+        All have the same, and the residuals and the tests of before.
         """
+        found = list(trials)
         with self.case.progress.step("substeps"):
-            settled = self.fitter.settled(trial)
-        self._criticism[settled] = self.criticized(trial)
-        return settled
+            for _ in range(2):  # the first may need what only a later one asks for
+                for i, trial in enumerate(found):
+                    least = max(one.problem.substeps for one in found)
+                    found[i] = self.fitter.settled(trial, least)
+        tested = [pair for pair in zip(found, trials, strict=True) if pair[1] in self._criticism]
+        self._criticism |= {settled: self._criticism[trial] for settled, trial in tested}
+        return found
 
     def criticized(self, trial: Trial) -> Criticism:
         """Return the results of the residual tests of a trial, computed once."""
