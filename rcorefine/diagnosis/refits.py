@@ -22,6 +22,7 @@ from .hypothesis import Hypothesis, Start, Trial, evidence, likeliest_noise, wei
 from .noise import Noise
 
 _SHARES = (1.0, 0.4, 0.1)  # shares of the starting sizes: the linear solution may diverge
+_SEARCHED = 2  # substeps of all later trials at most: finer ones are a matter of the few that lead
 _STEP, _RANKED_STEP = (
     1.0,
     3.0,
@@ -49,7 +50,7 @@ class Fitter:
     Attributes
     ----------
     substeps : int
-        Most substeps per sample that an effect needed so far.
+        Substeps per sample of new trials: 1, or 2 once an effect needed more.
     leader : float
         Largest log evidence so far: a fit that does not promise to come near it ends early.
     """
@@ -155,23 +156,15 @@ class Fitter:
                     break
         if not np.isfinite(lowest):
             return None
-        glance = self._descent(problem, nearest, noise, gain, _GLANCE)
+        glance = _descended(problem, nearest, noise, gain, _GLANCE)
         if not np.isfinite(glance.cost):
             return None
         trial = self.scored(Trial(hypothesis, base, problem, glance))
         if trial.total + _HOPE * max(trial.lack, glance.lack) < self.leader - _HOPELESS:
             return trial
-        run = self._descent(problem, glance.point, noise, gain, evaluations - 1)
+        run = _descended(problem, glance, noise, gain, evaluations - 1)
         trial = replace(trial, run=run if np.isfinite(run.cost) else glance)
         return self._under_own_noise(trial, gain, evaluations)
-
-    def _descent(
-        self, problem: Problem, point: Array, noise: Noise | None, gain: Array | None, most: int
-    ) -> Descent:
-        """Descend in the metric of a noise, or of plain weights."""
-        if noise is None:
-            return descend(problem, point, gain=gain, evaluations=most)
-        return _descended(problem, point, noise, gain, most)
 
     def single(self, task: tuple[Effect, Sequence[Start]]) -> Trial | None:
         """Fit one effect in the model as it is, from several starts."""
@@ -211,7 +204,7 @@ class Fitter:
         """
         best = self.scored(trial)
         for _ in range(_NOISE_ROUNDS if best.problem.size else 0):
-            run = _descended(best.problem, best.point, best.noise, gain, evaluations)
+            run = _descended(best.problem, best.run, best.noise, gain, evaluations)
             if not np.isfinite(run.cost):
                 break
             again = self.scored(replace(best, run=run))
@@ -233,16 +226,16 @@ class Fitter:
         problem, gain = trial.problem, _gain(base, trial.problem, ratio)
         if problem.in_time and not problem.structure.is_linear and problem.substeps < self.substeps:
             problem = problem.like(substeps=self.substeps)
-            run = _descended(problem, trial.point, trial.noise, gain, 8)
+            run = _descended(problem, trial.run, trial.noise, gain, 8)
             if np.isfinite(run.cost):
                 trial = self.scored(replace(trial, problem=problem, run=run))
         # far from the minimum the weights treat model errors as outliers: one descent without weights
-        plain = descend(problem, trial.point, gain=gain, evaluations=20, tolerance=1e-6)
+        plain = _descended(problem, trial.run, None, gain, 20)
         if np.isfinite(plain.cost):
             again = self._under_own_noise(replace(trial, run=plain), gain, 8)
             trial = again if again.total > trial.total else trial
         noise = trial.noise
-        run = _descended(problem, trial.point, noise, gain, 8, 1e-7)
+        run = _descended(problem, trial.run, noise, gain, 8, 1e-7)
         if not np.isfinite(run.cost):
             return trial
         trial = self.scored(replace(trial, problem=problem, run=run))
@@ -264,9 +257,10 @@ class Fitter:
             change = again.total - trial.total + ranked * (again.lack - trial.lack)
             if finer.substeps > least and abs(change) < (_RANKED_STEP if ranked else _STEP):
                 break
-            run = _descended(finer, again.point, trial.noise, gain, 6, 1e-7)
+            run = _descended(finer, again.run, trial.noise, gain, 6, 1e-7)
             trial = self.scored(replace(again, run=run)) if np.isfinite(run.cost) else again
-            self.substeps = max(self.substeps, finer.substeps) if ranked else self.substeps
+            if ranked:
+                self.substeps = max(self.substeps, min(finer.substeps, _SEARCHED))
         return trial
 
     def _widths(self, trial: Trial, gain: Array | None) -> Trial:
@@ -320,12 +314,20 @@ def _gain(base: FittedModel, problem: Problem, ratio: float) -> Array | None:
 
 
 def _descended(
-    problem: Problem, point: Array, noise: Noise, gain: Array | None, most: int, tolerance: float = 1e-6
-) -> Descent:
-    """Descend in the metric of a noise; the evaluation has plain weights."""
-    given: dict[str, Any] = {"gain": gain, "whitener": noise.whitener, "tolerance": tolerance}
-    if not noise.uneven:
-        return descend(problem, point, evaluations=most, **given)
+    problem: Problem, start: Array | Descent, noise: Noise | None, gain: Array | None, most: int,
+    tolerance: float | None = None,
+) -> Descent:  # fmt: skip
+    """Descend in the metric of a noise, or of plain weights.
+
+    The evaluation has plain weights. By default the descent ends where the log likelihood would increase by
+    half of one.
+    """
+    known = start.known(problem, gain) if isinstance(start, Descent) else None
+    point = start.point if isinstance(start, Descent) else start
+    given: dict[str, Any] = {"gain": gain, "tolerance": tolerance or 1.0 / problem.n_points}
+    given["whitener"] = None if noise is None else noise.whitener
+    if noise is None or not noise.uneven:
+        return descend(problem, point, evaluations=most, known=known, **given)
     run = descend(weighted(problem, noise), point, evaluations=most, **given)
     return descend(problem, run.point, gain=gain, evaluations=1) if np.isfinite(run.cost) else run
 

@@ -38,6 +38,7 @@ from .screening import Metric, Screen, compatible
 
 FITTED_SPREAD = 0.2  # prior standard deviation of re-estimated parameters, relative to their size
 _SOUGHT, _BATCH = 4, 2  # effects of each ranking sought in another local minimum; of them at a time
+_FOLLOWED = 90.0  # fit in percent above which a record is followed to its end
 _STRONG = 75.0  # fit in percent below which columns along the estimated motion are used, too
 _SINGLES, _SETS, MOST = 6, 4, 4  # refits per screen: single effects, sets; most effects of a screened set
 _PAIRS, _ALONE = 2, 3  # pairs and single effects that are added to the best set
@@ -241,12 +242,10 @@ class Search:
         with step("first look at every effect"):
             near = in_race(self.fitted, self.library, (0.0, 1.0) if strong else (0.0,))
             screens = self._screens(self.fitted, near, strong)
-        self._singles(screens, strong or not in_time)
-        with step("effects beside the parameters"):
-            alone = [x for x in self.ranked() if len(x.effects) == 1]
-            for trial in [x for x in alone if self.is_open(x.effects[0])][:3]:
-                self._beside_parameters(trial)
-        self.polish()
+        nearest = self._singles(screens)
+        self._singles_beside()
+        if (strong or not in_time) and self._other_valleys(nearest):
+            self._singles_beside()
         self._without_parameters()
         if not self.passed(self.best) or self.best.hypothesis.floated:
             self._holds()
@@ -264,7 +263,8 @@ class Search:
         with step("other names"):
             self._rename()
         self.polish()
-        self._simplify()
+        if self.passed(self.best):  # a special case leaves no smaller residual
+            self._simplify()
         return self
 
     def _further(self) -> None:
@@ -329,25 +329,44 @@ class Search:
         with self.case.progress.step("first look beside the parameters"):
             return self._screens(opened.base, [e for e in near if self.is_open(e)], bool(strong))
 
-    def _singles(self, screens: Sequence[Screen], far: bool) -> None:
+    def _singles(self, screens: Sequence[Screen]) -> list[Effect]:
         """Fit the likeliest single effects, and others at the best place.
 
-        With `far`, the best ones are also sought in another local minimum, until one passes its tests. An
-        effect that strong is confused only with effects at the same place, and `_names` tries these.
+        The likeliest effects of the last screen are returned.
         """
         likely = [screen.beam(1, False, self.price)[: _SINGLES + 1] for screen in screens]
         effects = [groups[0].effect for ranked in likely for _, groups in ranked if groups]
         self._each(effects, screens)
         self._each(self._relatives(screens[0]), screens)
-        # the fit without the effect may be in another local minimum
-        # the screen along the estimated motion is not bound to this minimum
-        nearest = [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
-        nearest += [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
-        todo = list(dict.fromkeys(nearest)) if far else []
-        while todo and not (self.best.effects and self.passed(self.best)):
-            batch, todo = todo[:_BATCH], todo[_BATCH:]
+        return [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
+
+    def _singles_beside(self) -> None:
+        """Refit the best single effects with re-estimated parameters."""
+        with self.case.progress.step("effects beside the parameters"):
+            alone = [x for x in self.ranked() if len(x.effects) == 1]
+            for trial in [x for x in alone if self.is_open(x.effects[0])][:3]:
+                self._beside_parameters(trial)
+        self.polish()
+
+    def _other_valleys(self, nearest: Sequence[Effect]) -> bool:
+        """Seek effects in another local minimum; return whether any was sought.
+
+        The fit without a strong effect may be in another local minimum. The screen along the estimated motion,
+        which gave `nearest`, is not bound to this minimum. The best effects are sought until one follows the
+        record or passes its tests. An effect that strong is confused only with effects at the same place, and
+        `_names` tries these.
+        """
+        single = [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
+        todo, begun = list(dict.fromkeys([*nearest, *single])), False
+        while todo and not (self.best.effects and (self._follows(self.best) or self.passed(self.best))):
+            batch, todo, begun = todo[:_BATCH], todo[_BATCH:], True
             for trial in self.case.progress.map(self.fitter.sought, batch, "from another valley"):
                 self.add(trial)
+        return begun
+
+    def _follows(self, trial: Trial) -> bool:
+        """Return whether a free run stays so near to the record that its minimum is the right one."""
+        return bool(trial.model.refinement.fit.min() > _FOLLOWED)
 
     def _relatives(self, screen: Screen) -> list[Effect]:
         """Return the effects at the places of the best set.
