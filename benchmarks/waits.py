@@ -17,6 +17,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,14 +33,15 @@ PENDULUM = """ct.nlsys(
 
 def integrated(
     rates: Callable[[np.ndarray, float], np.ndarray],
-    read: Callable[[np.ndarray], float],
+    read: Callable[[np.ndarray], Any],
     n: int,
     w: np.ndarray,
     noise: float,
     dt: float,
 ) -> Record:
     """Record of a system from rest, 40 Runge-Kutta steps per sample, with noise."""
-    x, y, h = np.zeros(n), np.zeros(w.size), dt / 40
+    x, h = np.zeros(n), dt / 40
+    y = np.zeros((w.size, *np.shape(read(x))))
     for k, u in enumerate(w):
         y[k] = read(x)
         for _ in range(40):
@@ -47,7 +49,7 @@ def integrated(
             b = rates(x + h / 2 * a, u)
             c = rates(x + h / 2 * b, u)
             x = x + h / 6 * (a + 2 * b + 2 * c + rates(x + h * c, u))
-    return w, y + noise * y.std() * np.random.default_rng(1).standard_normal(y.size), dt
+    return w, (y + noise * y.std(axis=0) * np.random.default_rng(1).standard_normal(y.shape)).T, dt
 
 
 def chain(samples: int, extra: Callable[[np.ndarray], tuple[float, float]]) -> Record:
@@ -61,6 +63,21 @@ def chain(samples: int, extra: Callable[[np.ndarray], tuple[float, float]]) -> R
 
     w = 10 * np.random.default_rng(0).standard_normal(samples)
     return integrated(rates, lambda x: x[2], 5, w, 0.03, 0.01)
+
+
+def long_chain(masses: int, samples: int, sensors: int) -> Record:
+    """A chain of equal masses, pushed at the first, with dry friction at its third link; the first speeds."""
+
+    def rates(x: np.ndarray, u: float) -> np.ndarray:
+        d, v = np.diff(x[:masses], prepend=0.0), np.diff(x[masses:], prepend=0.0)
+        pull = 300.0 * d + 0.3 * v + 0.6 * (np.arange(masses) == 2) * np.tanh(v / 1e-3)
+        force = np.append(pull[1:], 0.0) - pull
+        force[0] += u
+        return np.concatenate([x[masses:], force])
+
+    w = 10 * np.random.default_rng(3).standard_normal(samples)
+    seen = list(range(masses, masses + sensors))
+    return integrated(rates, lambda x: x[seen], 2 * masses, w, 0.02, 0.02)
 
 
 def friction(x: np.ndarray) -> tuple[float, float]:
@@ -89,7 +106,13 @@ RECORDS: dict[str, Callable[[], Record]] = {
     "long": lambda: chain(24000, lambda x: (0.0, 0.0)),
     "bouc_wen": lambda: chain(3000, bouc_wen),
     "pendulum": lambda: pendulum(2000),
+    "four": lambda: long_chain(4, 4200, 1),
+    "twelve": lambda: long_chain(12, 1500, 12),
 }
+CHAIN = (
+    "rco.mass_spring_damper([1.0] * {0}, [0.3] * {0}, [300.0] * {0}, "
+    "sensors=[('velocity', i + 1) for i in range({1})])"
+)
 #: What is called, the record and the model, and the environment.
 ROWS = {
     "diagnose, friction found": ("rco.diagnose(model, data)", "friction", MODEL, {}),
@@ -100,6 +123,14 @@ ROWS = {
         "bouc_wen", MODEL, {},
     ),
     "diagnose, pendulum as nlsys": ("rco.diagnose(model, data)", "pendulum", PENDULUM, {}),
+    "diagnose, four masses, one sensor": ("rco.diagnose(model, data)", "four", CHAIN.format(4, 1), {}),
+    "diagnose, twelve masses": (
+        "rco.diagnose(model, data, candidates=[rco.Effect('coulomb_friction', f'link{i}') for i in EIGHT])",
+        "twelve", CHAIN.format(12, 12), {},
+    ),
+    "improve, friction": ("rco.improve(model, data)", "friction", MODEL, {}),
+    "march, 5 derivatives, 100 times": ("[MARCH([], True) for _ in range(100)]", "friction", MODEL, {}),
+    "march, 9 derivatives, 100 times": ("[MARCH(OWN, True) for _ in range(100)]", "friction", MODEL, {}),
     "compare().failures": ("rco.compare(model, data).failures", "friction", MODEL, {}),
     "check": ("rco.check(model, data)", "friction", MODEL, {}),
     "refine with friction": ("rco.refine(model, data, [FRICTION])", "short", MODEL, {}),
@@ -116,6 +147,14 @@ model = {model}
 data = rco.Measurement(given["w"], given["y"], dt=float(given["dt"]))
 LIBRARY = rco.effect_library
 FRICTION = rco.Effect("coulomb_friction", "link2")
+EIGHT = range(1, 9)
+OWN = [rco.Effect(kind, place) for kind in ("stiffness", "damping") for place in ("link1", "link2")]
+def MARCH(more, start):
+    from rcorefine.engine.engine import Engine
+    from rcorefine.engine.structure import Structure
+    structure = Structure(model, [FRICTION, *more], constants={{0: 1e-3}})
+    theta = np.array([1.0] + [0.1] * len(more))
+    Engine(structure, data, substeps=2).run(theta, np.zeros(4), initial_state=start)
 for _ in range(1 if {once} else 2):
     begin = time.process_time()
     found = {call}

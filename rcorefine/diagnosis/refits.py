@@ -244,8 +244,8 @@ class Fitter:
     def settled(self, trial: Trial, least: int = 1, *, ranked: bool = False) -> Trial:
         """Return the trial with substeps that no longer matter, but at least some.
 
-        Half of them must not change the log evidence by `_STEP`. Where the trial is only `ranked` they must not
-        do so by `_RANKED_STEP` with the coefficients that they ask for.
+        Half of them must not change the log evidence by `_STEP`. Where the trial is only `ranked` they must
+        not do so by `_RANKED_STEP`, with the coefficients that they ask for.
         """
         gain = _gain(trial.base, trial.problem, trial.hypothesis.ratio)
         for _ in range(_FINER if trial.problem.in_time and not trial.is_linear else 0):

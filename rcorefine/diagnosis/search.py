@@ -351,10 +351,10 @@ class Search:
     def _other_valleys(self, nearest: Sequence[Effect]) -> bool:
         """Seek effects in another local minimum; return whether any was sought.
 
-        The fit without a strong effect may be in another local minimum. The screen along the estimated motion,
-        which gave `nearest`, is not bound to this minimum. The best effects are sought until one follows the
-        record or passes its tests. An effect that strong is confused only with effects at the same place, and
-        `_names` tries these.
+        The fit without a strong effect may be in another local minimum. The screen along the estimated
+        motion, which gave `nearest`, is not bound to this minimum. The best effects are sought until one
+        follows the record or passes its tests. An effect that strong is confused only with effects at the
+        same place, and `_names` tries these.
         """
         single = [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
         todo, begun = list(dict.fromkeys([*nearest, *single])), False
