@@ -118,8 +118,26 @@ def test_two_amplitudes_refute_a_law_that_only_mimics():
     assert found.verdict == "unexplained"
 
 
+def test_a_search_says_what_its_effort_left_out():
+    hidden = hidden_record(34, plant="quarter car", effect="coulomb_friction", loss=0.2, samples=1000)
+    others = [e for e in hidden.candidates if "friction" not in e.kind and e.kind != "hysteresis"]
+    said = []
+    for effort in (0.0, 2.0):
+        found = rco.diagnose(hidden.plant.model, hidden.data, candidates=others, effort=effort)
+        assert found.verdict == "unexplained"
+        said.append([note for note in found.notes if "refits" in note])
+    (note,), nothing = said
+    assert re.search(r"refits, without .*; effort=1 goes on", note)
+    assert nothing == []
+
+
 @pytest.mark.parametrize(
-    ("settings", "error"), [({"significance": 2.0}, ct.ControlArgument), ({"nonsense": 1}, TypeError)]
+    ("settings", "error"),
+    [
+        ({"significance": 2.0}, ct.ControlArgument),
+        ({"nonsense": 1}, TypeError),
+        ({"effort": -1.0}, ct.ControlArgument),
+    ],
 )
 def test_bad_options_are_refused(nothing, settings, error):
     hidden, _ = nothing

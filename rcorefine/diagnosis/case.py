@@ -58,6 +58,8 @@ class Case:
         Level of the tests.
     progress : Progress
         What does the steps and counts them.
+    effort : float
+        Refits that the search may take, times the usual number.
     fitted : FittedModel
         The model on the free runs that are tested.
     motions : list of Motion or ResponseMotion
@@ -85,7 +87,9 @@ class Case:
         settings: dict[str, Any],
         significance: float,
         progress: Progress,
+        effort: float = 1.0,
     ) -> None:
+        self.effort = effort
         self.base, self.records, self.settings = base, tuple(records), settings
         self.significance, self.progress, self.levels = significance, progress, levels()
         physical = base.physical_model

@@ -9,7 +9,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..arguments import as_share
+from ..arguments import as_number, as_share
 from ..data.measurement import Measurement
 from ..data.records import amplitude
 from ..data.response_record import in_frequency
@@ -134,6 +134,7 @@ def diagnose(
     noise: float | Sequence[float] | None = None,
     horizon: float | None = None,
     significance: float = 0.01,
+    effort: float = 1.0,
     controller: ct.StateSpace | None = None,
     executor: Any = None,
     progress: bool | None = None,
@@ -166,6 +167,9 @@ def diagnose(
         or tied; with tolerance 0.05, 3 of 5.
     significance : float
         Significance level of all residual tests together: the false-alarm rate if nothing is missing.
+    effort : float
+        Refits that the search may take, times 120. Where they are spent, the verdict "unexplained" says what
+        was not tried.
     controller : StateSpace or TransferFunction, optional
         As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
@@ -219,6 +223,7 @@ def diagnose(
     'adequate'
     """
     significance = as_share(significance, "significance")
+    effort = as_number(effort, "effort", least=0.0)
     given = as_data(data, horizon=horizon, noise=noise, controller=controller)
     model = seen = under_control(model, controller, data)
     candidates = None if candidates is None else as_effects(candidates, "candidates")
@@ -243,7 +248,7 @@ def diagnose(
         with steps.step("what is odd"):
             odd = () if in_frequency(records) else looks(seen, given, horizon)
         asked = options | {"candidates": None if candidates is None else tuple(candidates)}
-        found = _ask_twice(Case(base, records, candidates, asked, significance, steps), validation)
+        found = _ask_twice(Case(base, records, candidates, asked, significance, steps, effort), validation)
         said = about_noise(base.physical_model, records, live)
         return replace(found, checks=odd, records=tuple(live), notes=(*silent, *found.notes, *said))
 
@@ -270,7 +275,7 @@ def _ask_twice(case: Case, validation: Measurement | None) -> Diagnosis:
         base = base_fit(base.physical_model, records, **options)
     if base is case.base:
         return found
-    other = Case(base, records, settings["candidates"], again, case.significance, case.progress)
+    other = Case(base, records, settings["candidates"], again, case.significance, case.progress, case.effort)
     second = ask(other, validation)
     best = second.best.refinement if second.best is not None else second.floated or second.base
     worse = again is not settings and np.any(best.rmse > _WHOLE * found.base.rmse)
@@ -396,6 +401,7 @@ def _told(
     law = None
     if word == "unexplained" and case.settings["candidates"] is None:
         notes += filter(None, [not_tried(case.base.physical_model, case.library, case.ordered)])
+    notes += filter(None, [search.not_afforded] if word == "unexplained" else [])
     if word == "unexplained" and case.in_time:
         with case.progress.step("free forces"):
             law, base = open_force(search)

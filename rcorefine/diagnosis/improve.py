@@ -9,7 +9,7 @@ from typing import Any
 import control as ct
 import numpy as np
 
-from ..arguments import as_share, as_whole
+from ..arguments import as_number, as_share, as_whole
 from ..comparison.compare import compare
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
@@ -69,6 +69,7 @@ def improve(
     noise: float | Sequence[float] | None = None,
     horizon: float | None = None,
     significance: float = 0.01,
+    effort: float = 1.0,
     controller: ct.StateSpace | None = None,
     executor: Any = None,
     progress: bool | None = None,
@@ -99,6 +100,8 @@ def improve(
         As in `refine`.
     significance : float
         Significance level of the residual tests, as in `diagnose`.
+    effort : float
+        Refits that each search may take, as in `diagnose`.
     controller : StateSpace or TransferFunction, optional
         As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
@@ -158,6 +161,7 @@ def improve(
     """
     max_effects = as_whole(max_effects, "max_effects")
     significance = as_share(significance, "significance")
+    effort = as_number(effort, "effort", least=0.0)
     records = as_data(data, horizon=horizon, noise=noise, controller=controller)
     model = under_control(model, controller, data)
     physical = as_physical(model)
@@ -180,7 +184,7 @@ def improve(
             raise DataError(still)
         odd = looks(model, records, horizon) if in_time else ()
         library = not_held(library, nominal.effects)
-        improver = _Improver(start, nominal, parts, settings, library, significance, bar)
+        improver = _Improver(start, nominal, parts, settings, library, significance, bar, effort)
         verdict, message, notes = improver.improve(max_effects)
         if verdict == "unexplained" and candidates is None:
             notes += filter(None, [not_tried(physical, library, ordered)])
@@ -209,6 +213,8 @@ class _Improver:
         Significance level of the residual tests.
     progress : Progress
         Progress display, which also runs the tasks.
+    effort : float
+        Refits that each search may take, times the usual number.
     steps : list of Step
         Steps so far.
     """
@@ -220,6 +226,7 @@ class _Improver:
     library: list[Effect]
     significance: float
     progress: Progress
+    effort: float = 1.0
     steps: list[Step] = field(default_factory=list)
 
     def improve(self, most: int) -> tuple[str, str, list[str]]:
@@ -262,7 +269,7 @@ class _Improver:
         """Return the case of some of the records, with offsets at all channels."""
         given = {**self.settings, "free": ()}
         base = with_offsets(start, records, given)
-        return Case(base, records, self.library, given, self.significance, self.progress)
+        return Case(base, records, self.library, given, self.significance, self.progress, self.effort)
 
     # ------------------------------------------------------------------ choosing
     def _pooled(self, search: Search, chosen: Trial) -> tuple[Search, Trial]:

@@ -29,7 +29,6 @@ _STEP, _RANKED_STEP = (
 )  # log evidence that halving the substep may change: where jumps fall does by one
 _WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a jump is smoothed
 _NOISE_ROUNDS, _FINER, _WIDER = 3, 3, 4
-_GLANCE, _HOPELESS = 2, 20.0  # evaluations, after which a fit must promise to come that near to the leader
 _HOPE = 3.0  # times the predicted gain of the next step, that a descent may still gain
 _IMITATED, _IMITATIONS = 0.6, 3  # most share of a force that an imitation leaves; imitations tried
 
@@ -51,12 +50,10 @@ class Fitter:
     ----------
     substeps : int
         Substeps per sample of new trials: 1, or 2 once an effect needed more.
-    leader : float
-        Largest log evidence so far: a fit that does not promise to come near it ends early.
     """
 
     def __init__(self, fitted: FittedModel, motion: Motion, colored: bool = True) -> None:
-        self.fitted, self.motion, self.substeps, self.leader = fitted, motion, 1, -np.inf
+        self.fitted, self.motion, self.substeps = fitted, motion, 1
         self.before = fitted.residuals()
         self.cost = 0.5 * sum(float(np.sum(r**2)) for r in self.before)
         self.noise_of = likeliest_noise(fitted.problem, colored)
@@ -156,15 +153,10 @@ class Fitter:
                     break
         if not np.isfinite(lowest):
             return None
-        glance = _descended(problem, nearest, noise, gain, _GLANCE)
-        if not np.isfinite(glance.cost):
+        run = _descended(problem, nearest, noise, gain, evaluations, 1e-4 if noise is None else 1e-6)
+        if not np.isfinite(run.cost):
             return None
-        trial = self.scored(Trial(hypothesis, base, problem, glance))
-        if trial.total + _HOPE * max(trial.lack, glance.lack) < self.leader - _HOPELESS:
-            return trial
-        run = _descended(problem, glance, noise, gain, evaluations - 1)
-        trial = replace(trial, run=run if np.isfinite(run.cost) else glance)
-        return self._under_own_noise(trial, gain, evaluations)
+        return self._under_own_noise(Trial(hypothesis, base, problem, run), gain, evaluations)
 
     def single(self, task: tuple[Effect, Sequence[Start]]) -> Trial | None:
         """Fit one effect in the model as it is, from several starts."""
@@ -230,7 +222,7 @@ class Fitter:
             if np.isfinite(run.cost):
                 trial = self.scored(replace(trial, problem=problem, run=run))
         # far from the minimum the weights treat model errors as outliers: one descent without weights
-        plain = _descended(problem, trial.run, None, gain, 20)
+        plain = _descended(problem, trial.run, None, gain, 20, 1e-6)
         if np.isfinite(plain.cost):
             again = self._under_own_noise(replace(trial, run=plain), gain, 8)
             trial = again if again.total > trial.total else trial
@@ -315,16 +307,15 @@ def _gain(base: FittedModel, problem: Problem, ratio: float) -> Array | None:
 
 def _descended(
     problem: Problem, start: Array | Descent, noise: Noise | None, gain: Array | None, most: int,
-    tolerance: float | None = None,
+    tolerance: float = 1e-6,
 ) -> Descent:  # fmt: skip
     """Descend in the metric of a noise, or of plain weights.
 
-    The evaluation has plain weights. By default the descent ends where the log likelihood would increase by
-    half of one.
+    The evaluation has plain weights.
     """
     known = start.known(problem, gain) if isinstance(start, Descent) else None
     point = start.point if isinstance(start, Descent) else start
-    given: dict[str, Any] = {"gain": gain, "tolerance": tolerance or 1.0 / problem.n_points}
+    given: dict[str, Any] = {"gain": gain, "tolerance": tolerance}
     given["whitener"] = None if noise is None else noise.whitener
     if noise is None or not noise.uneven:
         return descend(problem, point, evaluations=most, known=known, **given)

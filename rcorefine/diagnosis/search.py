@@ -38,16 +38,19 @@ from .screening import Metric, Screen, compatible
 
 FITTED_SPREAD = 0.2  # prior standard deviation of re-estimated parameters, relative to their size
 _SOUGHT, _BATCH = 4, 2  # effects of each ranking sought in another local minimum; of them at a time
-_FOLLOWED = 90.0  # fit in percent above which a record is followed to its end
 _STRONG = 75.0  # fit in percent below which columns along the estimated motion are used, too
 _SINGLES, _SETS, MOST = 6, 4, 4  # refits per screen: single effects, sets; most effects of a screened set
 _PAIRS, _ALONE = 2, 3  # pairs and single effects that are added to the best set
+_REFITS = 120  # fits of a search; then only the names of the best set are asked for
 _ROUNDS = 2  # linearizations at the best set
 _NEAR = 60.0  # log evidence below the best within which a trial is polished
 _POLISHED = 4
 _RIVALS = 10.0  # log evidence below the best within which an unmeasured force is tried
 _LEADERS = 4  # trials whose laws are simplified
 _FORCE = 3.0  # least gain in log-likelihood for an unmeasured force to be tried
+
+
+_MORE = "further effects beside the best ones"
 
 
 class Criticism(NamedTuple):
@@ -112,6 +115,7 @@ class Search:
         self._done: set[Any] = set()
         self._polished: dict[Trial, int] = {}  # substeps that sufficed then
         self._spare: dict[Trial, bool] = {}
+        self._refits, self._skipped = 0, list[str]()
 
     def base(self, nuisances: frozenset[Nuisance]) -> FittedModel:
         """Return the model fitted with these nuisances."""
@@ -177,6 +181,7 @@ class Search:
         The fit of higher evidence is kept. With `instead`, a fit with finer substeps replaces the old one in
         any case: coarser steps may have a spuriously high evidence. None if the trial failed.
         """
+        self._refits += 1
         if trial is None or not np.isfinite(trial.total):
             return None
         for i, other in enumerate(self.trials):
@@ -185,8 +190,6 @@ class Search:
                     self.trials[i] = trial
                 return self.trials[i]
         self.trials.append(trial)
-        if self.determined(trial):
-            self.fitter.leader = max(self.fitter.leader, trial.total)
         return trial
 
     def try_(
@@ -222,6 +225,22 @@ class Search:
         beside = is_gain(effect) or _of_signals(effect)
         return not is_number(effect) or (beside and (effect.kind, effect.place) not in held)
 
+    def affords(self, what: str) -> bool:
+        """Return whether refits are left; otherwise remember what is skipped."""
+        left = self._refits < _REFITS * self.case.effort
+        if not left and what not in self._skipped:
+            self._skipped.append(what)
+        return left
+
+    @property
+    def not_afforded(self) -> str:
+        """Return a sentence on what was skipped, or an empty string."""
+        if not self._skipped:
+            return ""
+        more = 2.0 * max(self.case.effort, 0.5)
+        skipped = " and ".join(self._skipped)
+        return f"The search ended after {self._refits} refits, without {skipped}; effort={more:g} goes on."
+
     def first_time(self, *key: Any) -> bool:
         """Return whether a key is new, and remember it."""
         new = key not in self._done
@@ -242,10 +261,12 @@ class Search:
         with step("first look at every effect"):
             near = in_race(self.fitted, self.library, (0.0, 1.0) if strong else (0.0,))
             screens = self._screens(self.fitted, near, strong)
-        nearest = self._singles(screens)
-        self._singles_beside()
-        if (strong or not in_time) and self._other_valleys(nearest):
-            self._singles_beside()
+        self._singles(screens, strong or not in_time)
+        with step("effects beside the parameters"):
+            alone = [x for x in self.ranked() if len(x.effects) == 1]
+            for trial in [x for x in alone if self.is_open(x.effects[0])][:3]:
+                self._beside_parameters(trial)
+        self.polish()
         self._without_parameters()
         if not self.passed(self.best) or self.best.hypothesis.floated:
             self._holds()
@@ -255,7 +276,8 @@ class Search:
             self._cores(self.ranked()[:4])
             self.polish()
         self._further()
-        if self.colored and self.driven and (self.best.effects or not self.passed(self.best)):
+        asks = self.colored and self.driven and (self.best.effects or not self.passed(self.best))
+        if asks and (self.passed(self.best) or self.affords("unmeasured forces")):
             with step("noise of the inputs, unmeasured forces"):
                 self._noisy_inputs()
                 self._forces()
@@ -271,7 +293,7 @@ class Search:
         """Add effects to the best set while it fails its tests and improves."""
         for _ in range(_ROUNDS):
             before = self.best
-            if self.passed(before) or len(before.effects) >= self.most:
+            if self.passed(before) or len(before.effects) >= self.most or not self.affords(_MORE):
                 return
             with self.case.progress.step("effects beside the best ones"):
                 self.relinearized(before)
@@ -329,44 +351,27 @@ class Search:
         with self.case.progress.step("first look beside the parameters"):
             return self._screens(opened.base, [e for e in near if self.is_open(e)], bool(strong))
 
-    def _singles(self, screens: Sequence[Screen]) -> list[Effect]:
+    def _singles(self, screens: Sequence[Screen], far: bool) -> None:
         """Fit the likeliest single effects, and others at the best place.
 
-        The likeliest effects of the last screen are returned.
+        With `far`, the best ones are also sought in another local minimum, until one passes its tests. An
+        effect that strong is confused only with effects at the same place, and `_names` tries these.
         """
         likely = [screen.beam(1, False, self.price)[: _SINGLES + 1] for screen in screens]
         effects = [groups[0].effect for ranked in likely for _, groups in ranked if groups]
         self._each(effects, screens)
         self._each(self._relatives(screens[0]), screens)
-        return [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
-
-    def _singles_beside(self) -> None:
-        """Refit the best single effects with re-estimated parameters."""
-        with self.case.progress.step("effects beside the parameters"):
-            alone = [x for x in self.ranked() if len(x.effects) == 1]
-            for trial in [x for x in alone if self.is_open(x.effects[0])][:3]:
-                self._beside_parameters(trial)
-        self.polish()
-
-    def _other_valleys(self, nearest: Sequence[Effect]) -> bool:
-        """Seek effects in another local minimum; return whether any was sought.
-
-        The fit without a strong effect may be in another local minimum. The screen along the estimated
-        motion, which gave `nearest`, is not bound to this minimum. The best effects are sought until one
-        follows the record or passes its tests. An effect that strong is confused only with effects at the
-        same place, and `_names` tries these.
-        """
-        single = [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
-        todo, begun = list(dict.fromkeys([*nearest, *single])), False
-        while todo and not (self.best.effects and (self._follows(self.best) or self.passed(self.best))):
-            batch, todo, begun = todo[:_BATCH], todo[_BATCH:], True
+        # the fit without the effect may be in another local minimum
+        # the screen along the estimated motion is not bound to this minimum
+        nearest = [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
+        nearest += [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
+        todo = list(dict.fromkeys(nearest)) if far else []
+        while todo and not (self.best.effects and self.passed(self.best)):
+            if not self.affords("other local minima"):
+                break
+            batch, todo = todo[:_BATCH], todo[_BATCH:]
             for trial in self.case.progress.map(self.fitter.sought, batch, "from another valley"):
                 self.add(trial)
-        return begun
-
-    def _follows(self, trial: Trial) -> bool:
-        """Return whether a free run stays so near to the record that its minimum is the right one."""
-        return bool(trial.model.refinement.fit.min() > _FOLLOWED)
 
     def _relatives(self, screen: Screen) -> list[Effect]:
         """Return the effects at the places of the best set.
@@ -464,7 +469,7 @@ class Search:
             for groups in [*pairs[:_PAIRS], *alone[:_ALONE]]:
                 effects = (*trial.effects, *(g.effect for g in groups))
                 fine = len(effects) <= self.most and all(compatible(trial.effects, g.effect) for g in groups)
-                if fine and self.first_time("set", frozenset(effects)):
+                if fine and self.affords(_MORE) and self.first_time("set", frozenset(effects)):
                     values = screen.start(groups, False, fitted).values
                     weaker = [{n: 0.3 * v for n, v in own.items()} for own in values]
                     starts = [replace(here, values=[*here.values, *more]) for more in (values, weaker)]

@@ -343,7 +343,8 @@ def determined(model: Refinement) -> list[EstimatedParameter]:
     left, held = C, list[int]()
     while True:
         sds = np.sqrt(np.maximum(np.diag(left), 1e-300))
-        alike = np.sum((left / np.outer(sds, sds)) ** 2 > 1.0 - _ALONE, axis=0) * (sds > _TOLD * widths)
+        alike = np.sum(np.abs(left / np.outer(sds, sds)) > np.sqrt(1.0 - _ALONE), axis=0)
+        alike = alike * (sds > _TOLD * widths)
         if np.max(alike, initial=0) < 2:  # itself
             break
         held.append(int(np.argmax(alike)))  # known, it would determine the most others

@@ -444,7 +444,8 @@ class ResponseEngine:
         disc = s.discretize(theta, data.dt, derivatives=columns.size > 0)
         n, drive = s.n_states, nw + 1
         found: list[tuple[Array, ...]] = []
-        for M, O in zip((disc.M[0], *disc.dM[0]), (disc.O, *disc.dO), strict=True):
+        ends = disc.M[0, -n:], *disc.dM[0, :, -n:]  # of a substep whose forces are found amid it, too
+        for M, O in zip(ends, (disc.O, *disc.dO), strict=True):
             Phi, first, second = M[:, :n], M[:, n : n + nw], M[:, n + drive : n + drive + nw]
             C, D = O[:, :n], O[:, n : n + nw]
             if data.hold == "zoh":
@@ -497,6 +498,7 @@ def _balanced(structure: Structure, data: ResponseRecord) -> LineBalance:
     return LineBalance(structure, data)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # far off all numbers overflow, and who asks sees that
 def _transfer(sets: list[tuple[Array, ...]], points: NDArray[Any]) -> tuple[Complex, list[Complex]]:
     """Return C (z - A)^-1 B + D at every point, and its derivatives.
 

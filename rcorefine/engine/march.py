@@ -350,7 +350,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                 put(step, 0, x)
                 put(step, n, Wout[k])
                 put(w, 0, Wout[k])
-                apply(sense, P, step, 0, 0)
+                apply(sense[:felt], P, step, 0, 0)
                 at_last = (stages - 1) * m
                 for i in range(m):
                     if flags[_FIRST]:

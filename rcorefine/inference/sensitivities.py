@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,23 +49,6 @@ class Candidate:
                 starts.append(problem.inside(shifted))
             self._made = problem, starts
         return self._made
-
-    def at(self, substeps: int, structure: Structure | None = None) -> Problem:
-        """Return the problem with other substeps or another structure.
-
-        Another structure may have other constants.
-        """
-        return self.problem.like(structure, substeps=substeps)
-
-    def finer(self, substeps: int) -> Candidate:
-        """The candidate at another number of substeps."""
-        return replace(self, _made=(self.at(substeps), self.starts))
-
-    @property
-    def width(self) -> float:
-        """Width of its sgn(v)."""
-        structure = self.problem.structure
-        return structure.constants[len(structure.effects) - 1]
 
     @property
     def problem(self) -> Problem:

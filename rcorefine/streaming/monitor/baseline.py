@@ -204,7 +204,7 @@ def gain_of(
     """Gain, and the spectral radius of the observer."""
     matrices = structure.matrices(theta)
     n = structure.n_states
-    Phi = structure.discretize(theta, data.dt, derivatives=False).M[0, :, :n]
+    Phi = structure.discretize(theta, data.dt, derivatives=False).M[0, -n:, :n]
     if ratio == 0:
         K = np.zeros((n, structure.n_outputs))
     else:

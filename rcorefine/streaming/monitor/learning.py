@@ -84,7 +84,7 @@ def explained(
     It is that of the free run if there is one.
     """
     n = numbers.structure.n_states
-    step = numbers.structure.discretize(theta, data.dt, derivatives=False).M[0, :, :n]
+    step = numbers.structure.discretize(theta, data.dt, derivatives=False).M[0, -n:, :n]
     free = float(np.abs(np.linalg.eigvals(step)).max(initial=0.0)) <= FREE
     engine, there = Engine(numbers.structure, data, substeps=numbers.substeps), use > 0
     K = None if free or not gain.any() else gain
