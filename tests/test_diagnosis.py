@@ -127,7 +127,7 @@ def test_a_search_says_what_its_effort_left_out():
         assert found.verdict == "unexplained"
         said.append([note for note in found.notes if "refits" in note])
     (note,), nothing = said
-    assert re.search(r"refits, without .*; effort=1 goes on", note)
+    assert re.search(r"refits. Not tried: .*; effort=1 goes on", note)
     assert nothing == []
 
 

@@ -168,8 +168,8 @@ def diagnose(
     significance : float
         Significance level of all residual tests together: the false-alarm rate if nothing is missing.
     effort : float
-        Refits that the search may take, times 120. Where they are spent, the verdict "unexplained" says what
-        was not tried.
+        Number of refits of the search, in units of 120. If they are spent and the verdict is "unexplained",
+        the notes say what was not tried.
     controller : StateSpace or TransferFunction, optional
         As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
@@ -401,7 +401,8 @@ def _told(
     law = None
     if word == "unexplained" and case.settings["candidates"] is None:
         notes += filter(None, [not_tried(case.base.physical_model, case.library, case.ordered)])
-    notes += filter(None, [search.not_afforded] if word == "unexplained" else [])
+    if word == "unexplained" and search.not_afforded:
+        notes.append(search.not_afforded)
     if word == "unexplained" and case.in_time:
         with case.progress.step("free forces"):
             law, base = open_force(search)

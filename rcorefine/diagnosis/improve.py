@@ -101,7 +101,7 @@ def improve(
     significance : float
         Significance level of the residual tests, as in `diagnose`.
     effort : float
-        Refits that each search may take, as in `diagnose`.
+        Number of refits of each search, in units of 120, as in `diagnose`.
     controller : StateSpace or TransferFunction, optional
         As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
@@ -250,6 +250,8 @@ class _Improver:
         back = self._back()
         law, back = self._with_table(search, back, most) if doubtful else (None, back)
         verdict = "adequate" if passed and (not back or search.passed(search.trials[0])) else "unexplained"
+        if verdict == "unexplained" and search.not_afforded:
+            notes.append(search.not_afforded)
         return verdict, self._ending(verdict, back, len(chosen.effects) >= most, law), notes
 
     def _with_table(self, search: Search, back: list[str], most: int) -> tuple[Any, list[str]]:

@@ -23,10 +23,8 @@ from .noise import Noise
 
 _SHARES = (1.0, 0.4, 0.1)  # shares of the starting sizes: the linear solution may diverge
 _SEARCHED = 2  # substeps of all later trials at most: finer ones are a matter of the few that lead
-_STEP, _RANKED_STEP = (
-    1.0,
-    3.0,
-)  # log evidence that halving the substep may change: where jumps fall does by one
+_STEP = 1.0  # log evidence that halving the substep may change, of an answer
+_RANKED_STEP = 3.0  # of a ranking: by one it changes with where in a substep forces jump
 _WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a jump is smoothed
 _NOISE_ROUNDS, _FINER, _WIDER = 3, 3, 4
 _HOPE = 3.0  # times the predicted gain of the next step, that a descent may still gain

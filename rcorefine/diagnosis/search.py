@@ -237,9 +237,8 @@ class Search:
         """Return a sentence on what was skipped, or an empty string."""
         if not self._skipped:
             return ""
-        more = 2.0 * max(self.case.effort, 0.5)
-        skipped = " and ".join(self._skipped)
-        return f"The search ended after {self._refits} refits, without {skipped}; effort={more:g} goes on."
+        more, skipped = 2.0 * self.case.effort or 1.0, " and ".join(self._skipped)
+        return f"The search ended after {self._refits} refits. Not tried: {skipped}; effort={more:g} goes on."
 
     def first_time(self, *key: Any) -> bool:
         """Return whether a key is new, and remember it."""
@@ -685,7 +684,7 @@ class Search:
     def settled(self, trials: Sequence[Trial]) -> list[Trial]:
         """Return trials with the substeps that the coefficients of one need.
 
-        All have the same, and the residuals and the tests of before.
+        What the tests said of each trial is kept: its residual hardly changes.
         """
         found = list(trials)
         with self.case.progress.step("substeps"):
@@ -693,8 +692,8 @@ class Search:
                 for i, trial in enumerate(found):
                     least = max(one.problem.substeps for one in found)
                     found[i] = self.fitter.settled(trial, least)
-        tested = [pair for pair in zip(found, trials, strict=True) if pair[1] in self._criticism]
-        self._criticism |= {settled: self._criticism[trial] for settled, trial in tested}
+        known, pairs = self._criticism, zip(found, trials, strict=True)
+        known |= {settled: known[trial] for settled, trial in pairs if trial in known}
         return found
 
     def criticized(self, trial: Trial) -> Criticism:
