@@ -14,6 +14,7 @@ import argparse
 import json
 import platform
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -26,6 +27,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import rcorefine as rco
+from rcorefine.effects import Coefficient, PortLaw
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.nonlinear import nonlinear_system
 from rcorefine.engine.structure import Structure
@@ -169,6 +171,58 @@ def free_run(samples: int, repeats: int) -> list[Row]:
     return [Row("free run, nonlinear", "input_output", mine, other, ratio, *errors)]
 
 
+class Drag(PortLaw):
+    """Quadratic drag, written again."""
+
+    formula, explanation = "f = c v |v|", "Drag at {place}."
+    coefficients = (Coefficient("drag", "force/velocity^2", explanation="drag"),)
+
+    @staticmethod
+    def law(v: float, drag: float) -> float:
+        return drag * v * abs(v)
+
+
+def own_law(samples: int, repeats: int) -> list[Row]:
+    """A law of a user against the same one of the library, with all derivatives."""
+    model = rco.mass_spring_damper([1.0] * 3, [0.2, 0.16, 0.12], [10.0, 8.0, 6.0], force=3)
+    w = np.random.default_rng(0).standard_normal((1, samples))
+    data = rco.Measurement(w, np.zeros((3, samples)), dt=0.02, hold="foh")
+    effects = rco.Effect("custom", "link1", law=Drag), rco.Effect("quadratic_damping", "link1")
+    mine, built_in = (Engine(Structure(model, [effect]), data) for effect in effects)
+    theta = np.array([2.0])
+    ours, theirs, ratio = in_turn(lambda: mine.run(theta), lambda: built_in.run(theta), 3 * repeats)
+    gap = float(np.abs(mine.run(theta).outputs - built_in.run(theta).outputs).max())
+    return [Row("free run, own law", "library's law", ours, theirs, ratio, gap)]
+
+
+def reading(samples: int, repeats: int) -> list[Row]:
+    """A CSV file of 25 lines per sample, against NumPy's reader."""
+    table = np.random.default_rng(0).standard_normal((25 * samples, 3))
+    table[:, 0] = np.arange(len(table)) * 1e-3
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "long.csv"
+        np.savetxt(path, table, delimiter=",", header="t,u,y", comments="", fmt="%.6g")
+        read: dict[str, np.ndarray] = {}
+
+        def ours() -> None:
+            read["ours"] = rco.Measurement.from_csv(path, "u", "y", time="t").outputs[0]
+
+        def theirs() -> None:
+            read["theirs"] = np.loadtxt(path, delimiter=",", skiprows=1)[:, 2]
+
+        mine, other, ratio = in_turn(ours, theirs, repeats)
+    return [
+        Row(
+            "read a CSV file",
+            "numpy.loadtxt",
+            mine,
+            other,
+            ratio,
+            float(np.ptp(read["ours"] - read["theirs"])),
+        )
+    ]
+
+
 def growth() -> dict[str, float]:
     """Exponents of the processor time by what grows."""
     found = {}
@@ -212,7 +266,7 @@ def main() -> None:
         f"{'on' if NUMBA else 'off'}\n{'':39}{'ours':>9}{'peer':>9}{'ratio':>8}  error of peer\n"
     )
     rows: list[Row] = []
-    for part in (stages, physical, grey_box, free_run):
+    for part in (stages, physical, grey_box, free_run, own_law, reading):
         rows += (new := part(options.samples, options.repeats))
         sys.stdout.write("".join(f"{row}\n" for row in new))
         sys.stdout.flush()

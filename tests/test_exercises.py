@@ -6,7 +6,6 @@ import csv
 import dataclasses
 import json
 import pickle
-import time
 
 import control as ct
 import numpy as np
@@ -30,9 +29,7 @@ def right_of(exercise):
 @pytest.mark.parametrize("plant", exercises.plants)
 def test_a_student_finds_it_and_everything_else_is_wrong(plant):
     level = 2
-    before = time.process_time()
     exercise = exercises.hidden_effect(7, plant, level)
-    assert time.process_time() - before < 15  # a few seconds, with room for what is compiled first
     found, effect, value = found_in(exercise)
     mark = exercise.check(effect.kind, effect.place, value)
     assert mark.effect in ("right", "tied")

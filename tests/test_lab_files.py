@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -156,33 +154,6 @@ def test_both_parsers_read_the_same(tmp_path):
         else:
             data = Measurement.from_csv(path, ["t", "u"], "y", dt=1, delimiter=delimiter, decimal=decimal)
             assert np.vstack([data.inputs, data.outputs]).T.tolist() == expected
-
-
-@pytest.mark.benchmark
-def test_fast(tmp_path):
-    """At least a quarter of the speed of NumPy's own reader, and faster than Python's csv alone."""
-    n = 50_000
-    table = np.column_stack([np.arange(n) * 1e-3, np.random.default_rng(0).standard_normal((n, 2))])
-    path = tmp_path / "long.csv"
-    np.savetxt(path, table, delimiter=",", header="t,u,y", comments="", fmt="%.6g")
-
-    def seconds(call):
-        taken = []
-        for _ in range(3):
-            start = time.process_time()
-            call()
-            taken.append(time.process_time() - start)
-        return min(taken)
-
-    def by_hand():
-        with path.open() as file:
-            rows = csv.reader(file)
-            next(rows)
-            return [[float(cell) for cell in row] for row in rows]
-
-    ours = seconds(lambda: Measurement.from_csv(path, "u", "y", time="t"))
-    assert ours < 4 * seconds(lambda: np.loadtxt(path, delimiter=",", skiprows=1))
-    assert ours < seconds(by_hand)
 
 
 # ---------------------------------------------------------------- files of other packages
