@@ -101,7 +101,7 @@ def inlined(function: _Function) -> _Function:
 
 def _dispatcher(function: Callable[..., Any], lanes: bool, **more: bool) -> Any:
     """Return a function that numba compiles when it is first called."""
-    options = {"fastmath": FASTMATH, "error_model": "numpy", "no_cfunc_wrapper": True, **more}
+    options = {"fastmath": FASTMATH, "error_model": "numpy", "no_cfunc_wrapper": True, "nogil": True, **more}
     found = _kept(_NUMBA.njit, function, **options)
     build = found.compile
 

@@ -104,6 +104,31 @@ PORTS = {
 }
 
 
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+def test_a_users_law_that_feels_an_input_is_of_fourth_order(hold):
+    model, w = chain(), force(120)
+    sense, act = PORTS["x1-x2"]
+    u, times = held(w, hold), np.arange(w.size) * DT
+
+    def rates(t, x):
+        d = sense(x)[0]
+        return model.A @ x + model.B[:, 0] * u(t) + act * 0.8 * (u(t) * d + 5.0 * d**3)
+
+    truth = model.C @ solve(rates, np.zeros(4), times)
+    structure = Structure(model, [Effect("custom", "x1-x2", law=lambda d, v, w: w[0] * d + 5.0 * d**3)])
+    errors = [
+        np.abs(run(structure, [0.8], record(w, hold), substeps).outputs - truth).max() / np.abs(truth).max()
+        for substeps in (2, 4)
+    ]
+    assert errors[1] < 1e-6
+    assert errors[1] < 0.1 * errors[0]  # a sixteenth per halving
+    engine = Engine(structure, record(w, hold), substeps=2)
+    above, below = (engine.run(np.array([0.8 + h]), sensitivity=False).outputs for h in (1e-6, -1e-6))
+    slope = (above - below) / 2e-6
+    found = engine.run(np.array([0.8])).sensitivity[:, :, 0]
+    np.testing.assert_allclose(found, slope, atol=1e-7 * np.abs(slope).max())
+
+
 @pytest.mark.parametrize("place", ["x1", "x1-x2"])
 @pytest.mark.parametrize("kind", sorted(law_cases()))
 def test_mechanical_law_converges_to_solve_ivp(kind, place):

@@ -173,7 +173,8 @@ def diagnose(
     controller : StateSpace or TransferFunction, optional
         As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
-        Executor that refits candidates in parallel.
+        Executor that refits candidates in parallel. On the threads of a `ThreadPoolExecutor` the answer is
+        the same, and its simulations run beside each other.
     progress : bool, optional
         Whether to show steps and remaining time on standard error. By default in a terminal and in a
         notebook.
