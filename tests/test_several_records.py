@@ -47,8 +47,7 @@ def mixed(rng):
     ]
 
 
-def test_condensed_rows_have_the_same_sums_of_squares():
-    """An orthogonal transform per record: r'r, J'r and J'J are those of all rows."""
+def test_normal_equations_by_records_are_those_of_all_rows():
     rng = np.random.default_rng(5)
     blocks = [rng.standard_normal((n, 3)) * [1.0, 1e6, 1e-6] for n in (400, 2, 50, 60)]
     blocks[2][:, 1] = 0.0  # not felt
@@ -57,15 +56,20 @@ def test_condensed_rows_have_the_same_sums_of_squares():
     prior = rng.standard_normal((2, 9))
     residual = rng.standard_normal(sum(len(b) for b in blocks) + 2)
     whole = Evaluation(residual, blocks, columns, prior, True)
-    r, J = whole.condensed
-    assert r.size == len(J) == 4 + 2 + 4 + 4 + 2
+    normal, slope = whole.normal()
     size = np.linalg.norm(whole.jacobian, axis=0)
-    np.testing.assert_allclose(r @ r, residual @ residual, rtol=1e-12)
     np.testing.assert_allclose(
-        J.T @ r / size, whole.jacobian.T @ residual / size, atol=1e-12 * np.linalg.norm(residual)
+        slope / size, whole.jacobian.T @ residual / size, atol=1e-12 * np.linalg.norm(residual)
     )
     np.testing.assert_allclose(
-        J.T @ J / np.outer(size, size), whole.jacobian.T @ whole.jacobian / np.outer(size, size), atol=1e-12
+        normal / np.outer(size, size), whole.jacobian.T @ whole.jacobian / np.outer(size, size), atol=1e-12
+    )
+    own, rows = residual[:-2], whole.jacobian[:-2]
+    np.testing.assert_allclose(
+        whole.normal(own)[0] / np.outer(size, size), rows.T @ rows / np.outer(size, size), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        whole.normal(own)[1] / size, rows.T @ own / size, atol=1e-12 * np.linalg.norm(own)
     )
 
 

@@ -31,7 +31,7 @@ from ..engine.structure import Structure
 from ..exceptions import DivergenceError, ModelError, own_arithmetic
 from ..inference.assembly import windows
 from ..inference.outcome import fit_of, output_weights
-from ..inference.problem import Problem, natural_sizes
+from ..inference.problem import Problem, descend, natural_sizes
 from ..inference.refinement import Refinement
 from ..inference.starts import Motion, estimated_motion, law_widths, shape_starts
 from ..models.conversion import as_model, as_physical
@@ -134,7 +134,7 @@ def settled(model: Refinement, pieces: Sequence[Measurement]) -> Refinement:
     structure, theta, substeps = model.simulation_structure()
     weights = output_weights(pieces, None)
     problem = Problem(structure, pieces, weights, substeps=substeps, hold_brief=False)
-    point = problem.minimize(problem.pack(theta, model.initial_states), max_nfev=_MOST, tol=1e-8).x
+    point = descend(problem, problem.pack(theta, model.initial_states), evaluations=_MOST).point
     theta, starts = problem.unpack(point)
     rows = [
         replace(row, value=row.initial + value, coefficient=value)

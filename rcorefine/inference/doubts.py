@@ -159,7 +159,7 @@ def _fast_share(model: LinearModel, fit: Any, limit: float) -> float:
     for k in fast:
         along = left[:, k].conj()
         part = part + np.real(np.outer(right[:, k], along) / (along @ right[:, k]))
-    theta, starts = fit.problem.unpack(fit.result.x)
+    theta, starts = fit.problem.unpack(fit.result.point)
     n, own, whole = model.n_states, [], []
     for engine, start in zip(fit.problem.engines, starts, strict=True):
         run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
@@ -178,12 +178,12 @@ def _undetermined(found: Refinement, fit: Any) -> str:
     twice the log-likelihood by s squared. Where it does not, the valley is bent within the
     error bars: neither the value nor its std means anything.
     """
-    problem, point = fit.problem, fit.result.x
+    problem, point = fit.problem, fit.result.point
     if not fit.structure.is_linear:
         return ""
-    jacobian = problem.evaluate(point).condensed[1]
-    bounds = problem.at_bound(point, jacobian)
-    inverse, _, _ = pseudo_inverse(jacobian.T @ jacobian)
+    normal, _ = problem.evaluate(point).normal()
+    bounds = problem.at_bound(point, normal)
+    inverse, _, _ = pseudo_inverse(normal)
     noise = 2.0 * problem.cost(point) / problem.n_points
     least = problem.cost(point)
     bent = []

@@ -17,11 +17,11 @@ from ..exceptions import DataError
 from ..systems.linear import Array
 from .assembly import priors
 from .outcome import output_weights
-from .problem import Problem
+from .problem import Descent, Problem, descend
 from .search import search, starting_states, sufficient_steps
 from .starts import Motion
 
-_ROUGHLY, _EXACTLY = 1e-7, 1e-12  # tolerances of a polish before and after the substep is settled
+_ROUGHLY, _EXACTLY = 1e-2, 1e-6  # of the log likelihood: a polish before and after the substep is settled
 
 
 class Fit:
@@ -50,7 +50,7 @@ class Fit:
         self.weights = output_weights(segments, noise)
         self.steps = 1
         self.problem: Problem
-        self.result: Any = None
+        self.result: Descent
         values = sum(record.outputs.size for record in segments)
         unknowns = structure.n_parameters + structure.n_states * len(segments)
         if values <= unknowns:
@@ -79,7 +79,7 @@ class Fit:
         if rival is not None:
             self.steps = rival.steps
             self.problem = self.build(self.segments, self.steps)
-            point = self.problem.pack(*rival.problem.unpack(rival.result.x))
+            point = self.problem.pack(*rival.problem.unpack(rival.result.point))
         else:
             self.steps = substeps or (1 if self.structure.is_linear else 3 - self.structure.stages)
             point, found = search(self.build, self.structure, self.segments, motion, self.steps)
@@ -104,16 +104,16 @@ class Fit:
         self._polish(point, _ROUGHLY)
         while True:
             self._reweigh()
-            finer = sufficient_steps(self.build, self.segments, self.problem, self.result.x)
+            finer = sufficient_steps(self.build, self.segments, self.problem, self.result.point)
             if substeps or finer == self.steps:
                 break
             self.steps = finer
             self.problem = self.build(self.segments, self.steps)
-            self._polish(self.result.x, _ROUGHLY)
-        self._polish(self.result.x, _EXACTLY)
+            self._polish(self.result.point, _ROUGHLY)
+        self._polish(self.result.point, _EXACTLY)
 
-    def _polish(self, point: Array, tolerance: float) -> None:
-        self.result = self.problem.minimize(point, max_nfev=60, tol=tolerance)
+    def _polish(self, point: Array, unnoticed: float) -> None:
+        self.result = descend(self.problem, point, evaluations=60, tolerance=0.0, unnoticed=unnoticed)
 
     def _reweigh(self) -> None:
         """Estimate the noise levels from the residual.
@@ -122,20 +122,20 @@ class Fit:
         """
         if self.noise is not None:
             return
-        self.weights = output_weights(self.segments, None, self.problem, self.result.x)
+        self.weights = output_weights(self.segments, None, self.problem, self.result.point)
         self.problem = self.build(self.segments, self.steps)
         if self.weights.size > 1 or np.isfinite(self.sd[~self.loose]).any():
-            self._polish(self.result.x, _ROUGHLY)
+            self._polish(self.result.point, _ROUGHLY)
 
     @property
     def theta(self) -> Array:
         """Coefficients at the minimum."""
-        return self.problem.unpack(self.result.x)[0]
+        return self.problem.unpack(self.result.point)[0]
 
     @property
     def cost(self) -> float:
         """Log of the residual power over the outputs: comparable between fits."""
-        blocks = self.problem.own_blocks(self.result.x)
+        blocks = self.problem.own_blocks(self.result.point)
         residual = np.concatenate([r for r, _, _ in blocks], axis=1) / self.problem.weights[:, None]
         return float(np.sum(np.log(np.mean(residual**2, axis=1) + 1e-300)))
 

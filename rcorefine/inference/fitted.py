@@ -189,11 +189,7 @@ def evaluated(problem: Problem, point: Array, gain: Array | None = None) -> list
     With a gain, an observer corrects the simulation. The Jacobian has a column for each unknown that affects
     the record.
     """
-    problem.gain, problem._cache = gain, None
-    try:
-        return [(r, j) for r, j, _ in problem.own_blocks(point)]
-    finally:
-        problem.gain, problem._cache = None, None
+    return [(r, j) for r, j, _ in problem.own_blocks(point, gain)]
 
 
 def coefficient_covariance(

@@ -47,7 +47,7 @@ def output_weights(
 def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     """The `Refinement` of a finished fit."""
     structure, problem, result, roles = fit.structure, fit.problem, fit.result, fit.roles
-    point = result.x = _unmoved(problem, result.x)
+    point = _unmoved(problem, result.point)
     theta, starts = problem.unpack(point)
     residuals, slopes, columns = zip(*problem.own_blocks(point), strict=True)
     precision = problem.precision
@@ -64,10 +64,10 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     for sentence in found:
         warn(sentence, IdentifiabilityWarning)
     fit_percent, rmse = fit_of(problem.records, [r / problem.weights[:, None] for r in residuals])
-    message = str(result.message) if result.status <= 0 else "Converged."
-    if result.status == 0:
+    message = "Converged."
+    if not result.converged:
         message = "Stopped at the largest number of evaluations, perhaps before the minimum."
-    at_bound = problem.at_bound(point, problem.evaluate(point).condensed[1])
+    at_bound = problem.at_bound(point, problem.evaluate(point).normal()[0])
     if at_bound:
         message += f" At its bound: {', '.join(at_bound)}."
     return Refinement(
@@ -85,7 +85,7 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
         substeps=fit.steps,
         residual_orders=problem.whitener(residuals).orders,
         led=any(engine.lead is not None for engine in problem.engines),
-        success=bool(result.status > 0 and np.isfinite(result.cost)),
+        success=result.converged,
         message=" ".join(part for part in (message, note) if part),
         warnings=found,
         of_responses=not problem.in_time,
@@ -98,11 +98,11 @@ def _unmoved(problem: Problem, point: Array) -> Array:
     A flat valley leads anywhere. The point stays as it is if the cost would increase.
     """
     evaluation = problem.evaluate(point)
-    jacobian = evaluation.condensed[1]
-    if not (evaluation.finite and np.isfinite(jacobian).all()):
+    normal, _ = evaluation.normal()
+    if not (evaluation.finite and np.isfinite(normal).all()):
         return point
     home = problem.pack(problem.prior_mean, np.zeros((len(problem.records), problem.n_states)))
-    found = unmoved(jacobian.T @ jacobian, point, home)
+    found = unmoved(normal, point, home)
     if np.array_equal(found, point):
         return point
     found = problem.inside(found)

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
-from scipy.optimize import OptimizeResult, least_squares
 
 from ..data.measurement import Measurement
 from ..data.records import at_rest
@@ -88,7 +87,7 @@ class Coordinates:
 
 
 _LARGEST = 1e60
-_UNNOTICED = 0.02  # over the number of samples: a relative decrease that is 0.01 of a log likelihood
+_ROUNDING = 1e-22  # of the level, below which a cost is rounding
 _FAILED = 1e8  # residual level of a simulation that blew up: worse than anything, yet finite
 
 
@@ -149,8 +148,7 @@ class Problem:
         self.n_theta, self.n_states = p, structure.n_states
         self.free_start = initial is None
         self.hold_brief = hold_brief
-        self.gain: Array | None = None
-        self._cache: tuple[Array, Evaluation] | None = None
+        self._cache: tuple[Array, Array | None, Evaluation] | None = None
         self.n_points = sum(record.outputs.size for record in self.records)
 
     def like(
@@ -229,15 +227,18 @@ class Problem:
         assert self.initial is not None
         return theta, np.tile(self.initial, (len(self.records), 1))
 
-    def evaluate(self, point: Array) -> Evaluation:
-        """Weighted residual (model minus record, then priors) and its Jacobian."""
-        if self._cache is not None and np.array_equal(self._cache[0], point):
-            return self._cache[1]
+    def evaluate(self, point: Array, gain: Array | None = None) -> Evaluation:
+        """Weighted residual (model minus record, then priors) and its Jacobian.
+
+        With a gain (n, n_y) an observer corrects the state, and the residual holds its innovations.
+        """
+        if self._cache is not None and _same((point, gain), self._cache[:2]):
+            return self._cache[2]
         theta, starts = self.unpack(point)
         rows, blocks, places, finite = [], [], [], True
         judged = self.judged(theta)
         for i, engine in enumerate(self.engines):
-            run = engine.run(theta, starts[i], initial_state=self.free_start, gain=self.gain, check=False)
+            run = engine.run(theta, starts[i], initial_state=self.free_start, gain=gain, check=False)
             ok = run.blew_up < 0 and _bounded(run.outputs) and _bounded(run.sensitivity)
             finite &= ok
             width = run.sensitivity.shape[2]
@@ -253,7 +254,7 @@ class Problem:
             places.append(self.felt_by(i))
         expected, prior = self.prior_rows(point)
         result = Evaluation(np.concatenate([*rows, expected]), blocks, places, prior, finite)
-        self._cache = (point.copy(), result)
+        self._cache = (point.copy(), gain, result)
         return result
 
     def prior_rows(self, point: Array) -> tuple[Array, Array]:
@@ -299,6 +300,11 @@ class Problem:
             found.append(seen / (1.0 if seen.all() else np.sqrt(seen.mean(axis=1, keepdims=True))))
         return found
 
+    @cached_property
+    def level(self) -> float:
+        """Half the sum of squares of no model at all."""
+        return 0.5 * sum(float(np.sum((self.weights[:, None] * r.outputs) ** 2)) for r in self.records)
+
     def cost(self, point: Array) -> float:
         """Half the sum of squares."""
         residual = self.evaluate(point).residual
@@ -329,13 +335,14 @@ class Problem:
         low, high = self.box()
         return self.coordinates.point(np.clip(self.coordinates.of(point), low, high))
 
-    def at_bound(self, point: Array, jacobian: Array) -> list[str]:
+    def at_bound(self, point: Array, normal: Array) -> list[str]:
         """Return the labels of the coefficients that lie on a bound.
 
         A coefficient lies there if the way to the bound changes the residual by less than a thousandth of
         the noise. With a bound other than zero it must also be a thousandth of the bound at most.
         """
-        felt = np.linalg.norm(self.coordinates.columns(jacobian, point), axis=0)
+        turned = self.coordinates.columns(self.coordinates.columns(normal, point).T, point)
+        felt = np.sqrt(np.maximum(np.diag(turned), 0.0))
         box, found = self.coordinates.of(point), []
         for bound, inner in zip(self.bounds(), self.box(), strict=True):
             for i, parameter in enumerate(self.structure.parameters):
@@ -363,12 +370,14 @@ class Problem:
             found[-1][:, :, self.felt_by(i)] = own
         return found
 
-    def own_blocks(self, point: Array) -> list[tuple[Array, Array, NDArray[np.intp]]]:
+    def own_blocks(
+        self, point: Array, gain: Array | None = None
+    ) -> list[tuple[Array, Array, NDArray[np.intp]]]:
         """Return residual, Jacobian and indices of the unknowns of each window.
 
         The Jacobian, (n_y, N, .), has a column for each unknown that affects the window.
         """
-        return self.split(self.evaluate(point))
+        return self.split(self.evaluate(point, gain))
 
     def split(self, evaluation: Evaluation) -> list[tuple[Array, Array, NDArray[np.intp]]]:
         """An evaluation as `own_blocks`."""
@@ -388,65 +397,6 @@ class Problem:
         own = np.arange(self.n_states if self.free_start else 0) + self.n_theta + record * self.n_states
         return np.concatenate([np.arange(self.n_theta), own])
 
-    def minimize(
-        self, point: Array, *, max_nfev: int = 50, tol: float = 1e-12, gain: Array | None = None
-    ) -> Any:
-        """Least squares from `point` (trust region, exact Jacobian).
-
-        Parameters
-        ----------
-        point : ndarray
-            Start.
-        max_nfev : int
-            Evaluations at most.
-        tol : float
-            Relative tolerance on cost and step.
-        gain : ndarray, shape (n, n_y), optional
-            Minimize innovations with this observer gain rather than the free-run error.
-
-        Returns
-        -------
-        OptimizeResult
-            As of `scipy.optimize.least_squares`.
-        """
-        self.gain, self._cache = gain, None
-        if not self.size:  # a response of a model in which nothing is free
-            there = {"x": point, "cost": self.cost(point), "jac": self.evaluate(point).jacobian}
-            return OptimizeResult(status=1, message="No parameter is free.", **there)
-        scale = self._scales(point)
-        at: Callable[[Array], Evaluation] = lambda q: self.evaluate(self.coordinates.point(q * scale))  # noqa: E731
-        fun: Callable[[Array], Array] = lambda q: at(q).condensed[0]  # noqa: E731
-
-        def jac(q: Array) -> Array:
-            return self.coordinates.columns(at(q).condensed[1], self.coordinates.point(q * scale)) * scale
-
-        lower, upper = self.bounds()
-        start = self.coordinates.of(self.inside(point)) / scale
-        solve = partial(
-            least_squares, fun, start, jac=jac, bounds=(lower / scale, upper / scale), max_nfev=max_nfev,
-            ftol=tol, xtol=tol, gtol=1e-14, x_scale="jac",
-        )  # fmt: skip
-        try:
-            result = solve()
-        except np.linalg.LinAlgError:
-            # LAPACK's SVD can fail on many like windows (equal singular values): iterate instead
-            result = solve(tr_solver="lsmr")
-        result.x = self.coordinates.point(result.x * scale)
-        result.jac = result.jac / scale
-        self.gain, self._cache = None, None
-        return result
-
-    def _scales(self, point: Array) -> Array:
-        """Column scales that bring the Jacobian at `point` to unit columns."""
-        inside = self.inside(point)
-        columns = np.linalg.norm(self.coordinates.columns(self.evaluate(inside).condensed[1], inside), axis=0)
-        reach = self.sizes_at(point)
-        felt = np.where(np.isfinite(columns), columns, 0.0) * reach
-        felt = felt > 1e-12 * felt.max(initial=0.0)
-        columns = np.where(felt, columns, np.nan)
-        level = np.sqrt(self.n_points)
-        return np.asarray(np.where(felt, level / columns, np.maximum(np.abs(point), self.sizes)))
-
     def sizes_at(self, point: Array) -> Array:
         """Return the natural sizes of the unknowns at a point.
 
@@ -457,6 +407,14 @@ class Problem:
         sizes = self.sizes.copy()
         sizes[: self.n_theta] = np.maximum(sizes[: self.n_theta], np.abs(point[: self.n_theta]))
         return sizes
+
+
+def _same(one: Sequence[Array | None], other: Sequence[Array | None]) -> bool:
+    """Return whether arrays are equal, pair by pair; None equals None only."""
+    return all(
+        a is b or (a is not None and b is not None and np.array_equal(a, b))
+        for a, b in zip(one, other, strict=True)
+    )
 
 
 def _bounded(values: Array) -> bool:
@@ -537,10 +495,6 @@ class Evaluation:
         ends = np.cumsum([len(block) for block in self.blocks])
         return [(slice(int(end) - len(b), int(end)), b) for end, b in zip(ends, self.blocks, strict=True)]
 
-    def coefficients(self, count: int) -> Array:
-        """Jacobian of all rows by the coefficients, shape (rows, count)."""
-        return np.concatenate([*(block[:, :count] for block in self.blocks), self.prior[:, :count]])
-
     def bordered(
         self, count: int, whitener: Whitener | None, turn: Callable[[Array], Array], kept: Any = ...
     ) -> Bordered:
@@ -576,44 +530,24 @@ class Evaluation:
     @cached_property
     def jacobian(self) -> Array:
         """All of the Jacobian, shape (rows, size)."""
-        return self._stacked(self.blocks)
-
-    @cached_property
-    def condensed(self) -> tuple[Array, Array]:
-        """Return the residual and the Jacobian in as few rows as unknowns.
-
-        Each record is condensed separately; see `turned`.
-        """
-        return self.turned(self.residual)
-
-    def turned(self, residual: Array) -> tuple[Array, Array]:
-        """Condense a residual and the Jacobian into fewer rows.
-
-        A QR decomposition of each record rotates its rows until all but a few are zero.
-
-        Sums of squares, gradients and normal matrices do not change. Later steps need less time and memory,
-        which no longer grow with samples times unknowns of all records. A single record stays as it is.
-        """
-        if len(self.blocks) == 1:
-            return residual, self.jacobian
-        rows, blocks, at = [], [], 0
-        for block in self.blocks:
-            both = np.column_stack([block, residual[at : at + len(block)]])
-            found: Any = np.linalg.qr(both, mode="r")
-            rows.append(found[:, -1])
-            blocks.append(found[:, :-1])
-            at += len(block)
-        return np.concatenate([*rows, residual[at:]]), self._stacked(blocks)
-
-    def _stacked(self, blocks: list[Array]) -> Array:
-        count = sum(len(block) for block in blocks)
-        found = np.zeros((count + len(self.prior), self.prior.shape[1]))
-        at = 0
-        for block, columns in zip(blocks, self.columns, strict=True):
-            found[at : at + len(block), columns] = block
-            at += len(block)
-        found[count:] = self.prior
+        found = np.zeros((len(self.residual), self.prior.shape[1]))
+        for (rows, block), columns in zip(self.by_record, self.columns, strict=True):
+            found[rows, columns] = block
+        found[len(found) - len(self.prior) :] = self.prior
         return found
+
+    def normal(self, residual: Array | None = None) -> tuple[Array, Array]:
+        """Return J'J, shape (size, size), and J'r of all rows.
+
+        With a residual of the records alone the rows of the priors are left out.
+        """
+        tail = self.prior if residual is None else self.prior[:0]
+        r = self.residual if residual is None else residual
+        normal, slope = tail.T @ tail, tail.T @ r[len(r) - len(tail) :]
+        for (rows, block), columns in zip(self.by_record, self.columns, strict=True):
+            normal[np.ix_(columns, columns)] += block.T @ block
+            slope[columns] += block.T @ r[rows]
+        return normal, slope
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -646,10 +580,7 @@ class Descent:
 
     def known(self, problem: Problem, gain: Array | None) -> Evaluation | None:
         """Its evaluation, if it is one of this problem led by this gain."""
-        if self.problem is not problem or (self.gain is None) != (gain is None):
-            return None
-        same = self.gain is None or gain is None or np.array_equal(self.gain, gain)
-        return self.evaluation if same else None
+        return self.evaluation if self.problem is problem and _same((gain,), (self.gain,)) else None
 
     def blocks(self, problem: Problem) -> list[tuple[Array, Array]]:
         """Return the residual and the Jacobian of each record.
@@ -661,7 +592,7 @@ class Descent:
 
     def at_bound(self, problem: Problem) -> list[str]:
         """Labels of the coefficients that stand on a bound there."""
-        return problem.at_bound(self.point, self.evaluation.coefficients(problem.n_theta))
+        return problem.at_bound(self.point, self.evaluation.normal()[0])
 
 
 def descend(
@@ -670,8 +601,10 @@ def descend(
     *,
     gain: Array | None = None,
     whitener: Whitener | None = None,
+    free: NDArray[np.bool_] | None = None,
     evaluations: int = 6,
     tolerance: float = 1e-4,
+    unnoticed: float = 0.01,
     known: Evaluation | None = None,
 ) -> Descent:
     """Lower the cost from a point by damped Gauss-Newton steps.
@@ -686,11 +619,14 @@ def descend(
         Observer gain; the free run without it.
     whitener : Whitener, optional
         Metric: generalized least squares with this filter.
+    free : ndarray of bool, shape (size,), optional
+        Unknowns that move, where not all do.
     evaluations : int
         Simulations at most.
     tolerance : float
-        Relative decrease of the cost below which the descent ends; or where the log likelihood would
-        increase by less than a hundredth.
+        Relative decrease of the cost below which the descent ends.
+    unnoticed : float
+        Increase of the log likelihood below which it ends as well.
     known : Evaluation, optional
         What is known at the start.
 
@@ -698,27 +634,26 @@ def descend(
     -------
     Descent
     """
+    tolerance = max(tolerance, 2.0 * unnoticed / problem.n_points)
     low, high = problem.box()
+    begin = problem.coordinates.of(point)
+    if free is not None:  # bounds meet where an unknown is held
+        low, high = (np.where(free, bound, np.clip(begin, low, high)) for bound in (low, high))
 
     def rows(box: Array) -> Rows:  # where every constraint is a bound
         here = problem.coordinates.point(box)
         if known is not None and np.array_equal(here, point):
             return _rows(problem, known, here, whitener)
-        problem.gain, problem._cache = gain, None
-        try:
-            evaluation = problem.evaluate(here)
-        finally:
-            problem.gain, problem._cache = None, None
-        return _rows(problem, evaluation, here, whitener)
+        return _rows(problem, problem.evaluate(here, gain), here, whitener)
 
     run = gauss_newton(
         rows,
-        problem.coordinates.of(point),
+        begin,
         lower=low,
         upper=high,
         sizes=problem.sizes_at,
         evaluations=evaluations,
-        tolerance=max(tolerance, _UNNOTICED / problem.n_points),
+        settled=lambda cost, gain: gain <= tolerance * cost or cost <= _ROUNDING * problem.level,
     )
     sizes = problem.sizes_at(run.point)
     lack = promised(run.rows, run.point, low, high, sizes) if np.isfinite(run.cost) else np.inf

@@ -19,8 +19,8 @@ from ..engine.observer import observer_gain
 from ..engine.structure import Structure
 from ..gauss_newton import Rows, gauss_newton
 from ..systems.linear import Array
-from .covariance import parameter_uncertainty
-from .problem import Problem
+from .covariance import parameter_uncertainty, pseudo_inverse
+from .problem import Problem, descend
 from .starts import Motion, far_starts, shape_starts
 
 _FLOOR = 0.1  # relative error that no point falls below here: all count, whatever their noise
@@ -97,6 +97,7 @@ def _parts(values: np.ndarray) -> Array:
     return np.concatenate([values.real.ravel(), values.imag.ravel()])
 
 
+_ROUGHLY = 1e-6  # of the cost
 _RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
 _START_SAMPLES = 4000  # the first pass needs no more
 _POLISHED = 3  # starts that are polished
@@ -143,8 +144,8 @@ def search(
     for candidate in candidates:
         outcomes += _first_pass(trial, structure, short, candidate)
     outcomes.sort(key=lambda pair: pair[0])
-    level = 0.5 * sum(float(np.sum((trial.weights[:, None] * r.outputs) ** 2)) for r in short)
-    polished = _polish_each(trial, outcomes, level, steps)
+    level = trial.level
+    polished = _polish_each(trial, outcomes, steps)
     seen: list[float] = []
 
     def grow(enough: float) -> None:
@@ -163,7 +164,7 @@ def search(
             far += _first_pass(trial, structure, short, candidate)
         far.sort(key=lambda pair: pair[0])
         if far:
-            polished += _polish_each(trial, far, level, steps)
+            polished += _polish_each(trial, far, steps)
         outcomes = sorted(outcomes + far, key=lambda pair: pair[0])
         if trial.in_time:
             grow(_POOR)
@@ -176,7 +177,7 @@ def search(
 
 
 def _polish_each(
-    trial: Problem, outcomes: list[tuple[float, Array]], level: float, steps: int
+    trial: Problem, outcomes: list[tuple[float, Array]], steps: int
 ) -> list[tuple[float, Array, int]]:
     """Optimize the best starting points on the simulation.
 
@@ -184,9 +185,9 @@ def _polish_each(
     """
     polished: list[tuple[float, Array, int]] = []
     for _, point in outcomes[:_POLISHED]:
-        result = trial.minimize(point, max_nfev=25)
-        polished.append((float(result.cost), result.x, steps))
-        if result.cost < _FAIR * level:
+        result = descend(trial, point, evaluations=25, tolerance=_ROUGHLY)
+        polished.append((result.cost, result.point, steps))
+        if result.cost < _FAIR * trial.level:
             break
     return polished
 
@@ -214,28 +215,27 @@ def _grow(
         pieces = [piece for record in windows for piece in _cut(record, count)]
         part = problem(pieces, steps, True)
         if starts is None:
-            result = part.minimize(
-                part.pack(theta, _observed_states(part, windows, theta, count)), max_nfev=15, tol=1e-6
-            )
+            states = _observed_states(part, windows, theta, count)
+            result = descend(part, part.pack(theta, states), evaluations=15, tolerance=_ROUGHLY)
             known = any(abs(result.cost - other) < 1e-3 * other for other in seen)
-            seen.append(float(result.cost))
+            seen.append(result.cost)
             if known or result.cost > poor:
                 return None
         else:
-            result = part.minimize(part.pack(theta, starts), max_nfev=15, tol=1e-6)
-        finer = sufficient_steps(problem, pieces, part, result.x)
+            result = descend(part, part.pack(theta, starts), evaluations=15, tolerance=_ROUGHLY)
+        finer = sufficient_steps(problem, pieces, part, result.point)
         if finer != steps:
             steps = finer
             part = problem(pieces, steps, True)
-            result = part.minimize(result.x, max_nfev=15, tol=1e-6)
-        theta, starts = part.unpack(result.x)
+            result = descend(part, result.point, evaluations=15, tolerance=_ROUGHLY)
+        theta, starts = part.unpack(result.point)
         if count == 1:
             break
         starts, count = starts[::2], count // 2
     trial = problem(windows, steps)
-    point = result.x if trial.free_start else trial.pack(theta, starts)
-    result = trial.minimize(point, max_nfev=25)
-    return float(result.cost), result.x, steps
+    point = result.point if trial.free_start else trial.pack(theta, starts)
+    result = descend(trial, point, evaluations=25, tolerance=_ROUGHLY)
+    return result.cost, result.point, steps
 
 
 def _observed_states(part: Problem, windows: list[Measurement], theta: Array, count: int) -> Array:
@@ -320,8 +320,7 @@ def _first_pass(
         gain = observer_gain(structure, current[: structure.n_parameters], windows[0], ratio)
         if not np.isfinite(gain).all():
             continue
-        result = problem.minimize(current, max_nfev=12, tol=1e-6, gain=gain)
-        current = result.x
+        current = descend(problem, current, gain=gain, evaluations=12, tolerance=_ROUGHLY).point
         theta = current[: structure.n_parameters]
         free = problem.inside(problem.pack(theta, starting_states(problem, theta)))
         outcomes.append((problem.cost(free), free))
@@ -354,11 +353,11 @@ def step_matters(coarse: Problem, fine: Problem, point: Array) -> float:
         )  # what runs away at both is no fault of it
     n = coarse.n_points
     difference = finer.residual[:n] - evaluation.residual[:n]
-    turned, jacobian = evaluation.turned(difference)
-    rows = len(jacobian) - len(evaluation.prior)
-    scale = np.linalg.norm(jacobian[:rows], axis=0)
+    normal, slope = evaluation.normal(difference)
+    scale = np.sqrt(np.diag(normal))
     scale[scale == 0] = 1.0
-    shift = np.linalg.lstsq(jacobian[:rows] / scale, turned[:rows], rcond=1e-8)[0]
+    inverse, _, _ = pseudo_inverse(normal / np.outer(scale, scale))
+    shift = inverse @ (slope / scale)
     residuals, slopes, columns = zip(*coarse.own_blocks(point), strict=True)
     unsure = parameter_uncertainty(residuals, slopes, np.zeros(coarse.size), columns=columns)
     spread = np.sqrt(np.maximum(np.diag(unsure.covariance), 1e-300)) * scale

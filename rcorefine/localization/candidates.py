@@ -287,7 +287,7 @@ def _fitted(setting: SharedSetting, name: str, effects: tuple[Effect, ...]) -> H
         fit.mean, fit.sd = joint.problem.prior_mean, joint.problem.prior_sd
         fit.initial = joint.problem.initial
         fit.run(setting.motion, None)
-        joint.problem, joint.point = fit.problem, fit.result.x
+        joint.problem, joint.point = fit.problem, fit.result.point
     value, colours = log_likelihood(joint.residual)
     spread = joint.spread(np.ones(structure.n_parameters, dtype=bool))
     changes, std, percent = {}, {}, {}

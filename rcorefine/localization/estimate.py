@@ -6,9 +6,10 @@ frequency response.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import combinations, product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +22,9 @@ from ..effects.springs import Stiffness
 from ..engine.observer import observer_gain
 from ..engine.structure import Structure
 from ..exceptions import DataError
-from ..gauss_newton import Rows, gauss_newton
 from ..inference.covariance import colored, covariance, pseudo_inverse, standard_deviations
 from ..inference.outcome import output_weights
-from ..inference.problem import Problem
+from ..inference.problem import Problem, descend
 from ..inference.search import starting_states
 from ..inference.starts import far_starts
 from ..inference.whitening import Whitener, autoregression
@@ -211,11 +211,11 @@ def sparse_starts(
 _RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
 _SHORT = 4000  # samples of the first pass
 _WHITE = 0.6  # innovation over residual power above which a free run has found its valley
-_ROUNDING = 1e-22  # residual over signal power that is rounding
 _HOPELESS = 0.5  # whiteness against that of the present fit
 _EXACT = 1e-6  # residual over signal power that needs no further search
 _MOST_EVALUATIONS = 40
-_SETTLED = 1e-3  # of a standard deviation
+# until a thousandth of a standard deviation is left
+_lowered = partial(descend, tolerance=0.0, unnoticed=5e-7)
 
 
 class Information(NamedTuple):
@@ -280,8 +280,7 @@ class Joint:
 
         These are the active coefficients and all initial states.
         """
-        rest = np.arange(self.structure.n_parameters, self.problem.size)
-        return np.concatenate([np.flatnonzero(active), rest])
+        return np.flatnonzero(_moving(self.problem, active))
 
     # ------------------------------------------------------------------ estimates
     def start(self) -> None:
@@ -292,15 +291,13 @@ class Joint:
         The first that leaves a white residual ends the search.
         """
         trial = self._shortened()
-        level = 0.5 * sum(float(np.sum((trial.weights[:, None] * r.outputs) ** 2)) for r in trial.records)
-        columns = np.arange(trial.size)
         best: tuple[float, Array] | None = None
         for theta in self._starts(trial):
             free = trial.inside(trial.pack(theta, starting_states(trial, theta)))
-            point, cost, _ = _descend(trial, free, columns, _MOST_EVALUATIONS)
-            if best is None or cost < best[0]:
-                best = cost, point
-                if cost < _EXACT * level or _whiteness(trial, point) > _WHITE:
+            found = _lowered(trial, free, evaluations=_MOST_EVALUATIONS)
+            if best is None or found.cost < best[0]:
+                best = found.cost, found.point
+                if found.cost < _EXACT * trial.level or _whiteness(trial, found.point) > _WHITE:
                     break
         assert best is not None
         self.point = self._lengthened(trial, best[1])
@@ -342,7 +339,7 @@ class Joint:
         for ratio in ratios:
             gain = observer_gain(self.structure, held[: trial.n_theta], trial.records[0], ratio)
             if np.isfinite(gain).all():
-                held = trial.minimize(held, max_nfev=12, tol=1e-6, gain=gain).x
+                held = descend(trial, held, gain=gain, evaluations=12, tolerance=1e-6).point
                 yield held[: trial.n_theta]
 
     def sparser(self, active: NDArray[np.bool_], size: int) -> NDArray[np.bool_] | None:
@@ -371,9 +368,8 @@ class Joint:
             few = np.ones(active.size, dtype=bool)
             few[[i for i, q in enumerate(self.structure.parameters) if q.effect < self.n_changes]] = False
             few[list(members)] = True
-            columns = np.concatenate([np.flatnonzero(few), np.arange(trial.n_theta, trial.size)])
-            free = trial.inside(trial.pack(theta, starting_states(trial, theta)))
-            point, _, _ = _descend(trial, free, columns, 20)
+            start_at = trial.inside(trial.pack(theta, starting_states(trial, theta)))
+            point = _lowered(trial, start_at, free=_moving(trial, few), evaluations=20).point
             if _whiteness(trial, point) < _HOPELESS * _whiteness(self.problem, reference):
                 continue
             self.point = self._lengthened(trial, point)
@@ -400,17 +396,18 @@ class Joint:
         float
             Cost, half the weighted sum of squares.
         """
-        columns, again = self.columns(active), reweigh and self.noise is None
+        again = reweigh and self.noise is None
         for _ in range(3 if again else 1):
-            self.point, cost, self.converged = _descend(self.problem, self.point, columns, _MOST_EVALUATIONS)
-            self._information = None
+            free = _moving(self.problem, active)
+            found = _lowered(self.problem, self.point, free=free, evaluations=_MOST_EVALUATIONS)
+            self.point, self.converged, self._information = found.point, found.converged, None
             if again:
                 before = self.problem.weights
                 weights = output_weights(self.records, None, self.problem, self.point)
                 self.problem = self.problem.like(weights=weights)
                 if np.allclose(before, weights, rtol=0.02):
                     break
-        return cost
+        return found.cost
 
     def information(self) -> Information:
         """Return the information of the record at the present point.
@@ -420,8 +417,7 @@ class Joint:
         if self._information is None:
             residuals, slopes, columns = zip(*self.problem.own_blocks(self.point), strict=True)
             normal, middle = colored(residuals, slopes, self.problem.precision, columns=columns)
-            r, J = self.problem.evaluate(self.point).condensed
-            gradient = J.T @ r
+            _, gradient = self.problem.evaluate(self.point).normal()
             self._information = Information(gradient, normal, middle)
         return self._information
 
@@ -471,41 +467,9 @@ def log_likelihood(residual: Array) -> tuple[float, int]:
     return whitener.log_likelihood(residual.shape[1]), sum(whitener.orders)
 
 
-def _descend(
-    problem: Problem, point: Array, columns: NDArray[np.int64], evaluations: int
-) -> tuple[Array, float, bool]:
-    """Lower the cost in some columns; the others stay where they are."""
-    box = problem.coordinates.of(problem.inside(point))
-    low, high = (bound[columns] for bound in problem.box())
-
-    def at(x: Array) -> Array:
-        whole = box.copy()
-        whole[columns] = x
-        return problem.coordinates.point(whole)
-
-    def rows(x: Array) -> Rows:
-        point = at(x)
-        found = problem.evaluate(point)
-        turn: Callable[[Array], Array] = lambda J: problem.coordinates.columns(J, point)  # noqa: E731
-        if len(problem.records) == 1:
-            J: Any = turn(found.jacobian)[:, columns]
-        else:
-            J = found.bordered(problem.n_theta, None, turn, columns[columns < problem.n_theta])
-        return Rows(found.residual if found.finite else np.full(1, np.inf), J)
-
-    level = sum(float(np.sum((problem.weights[:, None] * r.outputs) ** 2)) for r in problem.records)
-    tolerance = max(_SETTLED**2 / problem.n_points, 1e-10)
-    run = gauss_newton(
-        rows,
-        box[columns],
-        lower=low,
-        upper=high,
-        sizes=problem.sizes[columns],
-        evaluations=evaluations,
-        settled=lambda cost, gain: gain <= tolerance * cost or cost < _ROUNDING * level,
-        damping=0.0,
-    )
-    return at(run.point), run.cost, run.converged
+def _moving(problem: Problem, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which unknowns move: active coefficients, initial states."""
+    return np.pad(active, (0, problem.size - active.size), constant_values=True)
 
 
 def _whiteness(problem: Problem, point: Array) -> float:

@@ -20,6 +20,7 @@ from ..inference.assembly import as_data, assemble, check_settings, offset_varia
 from ..inference.doubts import doubted
 from ..inference.fit import Fit
 from ..inference.outcome import output_weights, package
+from ..inference.problem import descend
 from ..inference.refinement import Refinement
 from ..inference.search import starting_states
 from ..inference.starts import estimated_motion, law_widths
@@ -236,7 +237,7 @@ def refit(
         if best is not None and structure.is_linear:
             break  # behind a linear model all offsets are the same
         fit = Fit(structure, [role for _, role in chosen], segments, noise, None, tolerance)
-        states = model.initial_states if best is None else best.problem.unpack(best.result.x)[1]
+        states = model.initial_states if best is None else best.problem.unpack(best.result.point)[1]
         fit.resume(model.substeps, states)
         if best is None or fit.cost < best.cost:
             best = fit
@@ -295,13 +296,12 @@ def base_fit(
         return package(fit, physical, note)
     fit.problem = fit.build(segments, fit.steps)
     theta = structure.start()
-    fit.result = fit.problem.minimize(
-        fit.problem.pack(theta, starting_states(fit.problem, theta)), max_nfev=30, tol=1e-8
-    )
+    point = fit.problem.pack(theta, starting_states(fit.problem, theta))
+    fit.result = descend(fit.problem, point, evaluations=30)
     for _ in range(2):  # noise levels from the residual, then the weight of the priors
-        fit.weights = output_weights(segments, noise, fit.problem, fit.result.x)
+        fit.weights = output_weights(segments, noise, fit.problem, fit.result.point)
         fit.problem = fit.build(segments, fit.steps)
-        fit.result = fit.problem.minimize(fit.result.x, max_nfev=30, tol=1e-10)
+        fit.result = descend(fit.problem, fit.result.point, evaluations=30, tolerance=0.0, unnoticed=1e-4)
         if noise is not None or (structure.n_outputs == 1 and tolerance == 0):
             break
     return package(fit, physical, note)
