@@ -17,7 +17,6 @@ import rcorefine as rco
 from rcorefine.engine.simulation import simulate
 from rcorefine.localization import localize_damage
 from rcorefine.localization.damping import square_root
-from rcorefine.localization.estimate import log_likelihood
 
 MASSES = np.array([3452.4, 2652.4, 2652.4, 1809.9])
 STIFFNESS = np.full(4, 67.9e6)
@@ -377,12 +376,6 @@ def test_square_root_is_analytic():
     step = 1e-5
     central = (linalg.sqrtm(X + step * direction) - linalg.sqrtm(X - step * direction)) / (2 * step)
     np.testing.assert_allclose(slope, central, rtol=1e-5, atol=1e-6 * np.abs(central).max())
-
-
-def test_log_likelihood_of_white_noise(rng):
-    r = 3.0 * rng.standard_normal((1, 20_000))
-    value, _ = log_likelihood(r)
-    assert value == pytest.approx(-0.5 * 20_000 * np.log(9.0), abs=5 * np.sqrt(20_000 / 2) + 20)
 
 
 # --------------------------------------------------------------- sensors and residual

@@ -176,8 +176,10 @@ class Fitter:
         def build(records: Sequence[Measurement], steps: int, unknown_start: bool = False) -> Problem:
             return problem.like(records=records, substeps=steps)
 
+        structure = problem.structure
+        starts = shape_starts(structure, structure.start(), self.motion)
         try:
-            point, steps = search(build, problem.structure, problem.records, self.motion, problem.substeps)
+            point, steps = search(build, structure, problem.records, starts, problem.substeps)
         except (np.linalg.LinAlgError, ValueError):  # no observer exists for this model
             return None
         problem = problem.like(substeps=max(steps, problem.substeps))

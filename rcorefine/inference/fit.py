@@ -19,7 +19,7 @@ from .assembly import priors
 from .outcome import output_weights
 from .problem import Descent, Problem, descend
 from .search import search, starting_states, sufficient_steps
-from .starts import Motion
+from .starts import Motion, shape_starts
 
 _ROUGHLY, _EXACTLY = 1e-2, 1e-6  # of the log likelihood: a polish before and after the substep is settled
 
@@ -71,10 +71,17 @@ class Fit:
             initial=None if unknown_start else self.initial,
         )
 
-    def run(self, motion: Motion, substeps: int | None, rival: Fit | None = None) -> None:
+    def run(
+        self,
+        motion: Motion,
+        substeps: int | None,
+        rival: Fit | None = None,
+        starts: Sequence[Array] = (),
+    ) -> None:
         """Search, optimize and refine the substep until it no longer matters.
 
-        With `rival`, start from the minimum of that fit instead of searching.
+        The search begins at `starts`, by default at the shapes of the laws. With `rival`, start from the
+        minimum of that fit instead of searching.
         """
         if rival is not None:
             self.steps = rival.steps
@@ -82,7 +89,8 @@ class Fit:
             point = self.problem.pack(*rival.problem.unpack(rival.result.point))
         else:
             self.steps = substeps or (1 if self.structure.is_linear else 3 - self.structure.stages)
-            point, found = search(self.build, self.structure, self.segments, motion, self.steps)
+            starts = starts or shape_starts(self.structure, self.structure.start(), motion)
+            point, found = search(self.build, self.structure, self.segments, starts, self.steps)
             self.steps = substeps or found
             self.problem = self.build(self.segments, self.steps)
         self._settle(point, substeps)

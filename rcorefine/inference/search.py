@@ -21,7 +21,7 @@ from ..gauss_newton import Rows, gauss_newton
 from ..systems.linear import Array
 from .covariance import parameter_uncertainty, pseudo_inverse
 from .problem import Problem, descend
-from .starts import Motion, far_starts, shape_starts
+from .starts import far_starts
 
 _FLOOR = 0.1  # relative error that no point falls below here: all count, whatever their noise
 _POINTS, _FEW_POINTS = 400, 60  # of each response, linear or not
@@ -111,7 +111,11 @@ ProblemOf = Callable[..., Problem]
 
 
 def search(
-    problem: ProblemOf, structure: Structure, windows: Sequence[Measurement], motion: Motion, steps: int
+    problem: ProblemOf,
+    structure: Structure,
+    windows: Sequence[Measurement],
+    starts: Sequence[Array],
+    steps: int,
 ) -> tuple[Array, int]:
     """Point from which to polish.
 
@@ -124,8 +128,8 @@ def search(
         Model with the effects.
     windows : sequence of Measurement
         Segments of the record.
-    motion : Motion
-        Estimated motion at the ports, for the shapes of the laws.
+    starts : sequence of ndarray, shape (p,)
+        Coefficients where to begin.
     steps : int
         Substeps per sample.
 
@@ -138,10 +142,8 @@ def search(
     """
     short = _shortened(windows)
     trial = problem(short, steps)
-    theta = structure.start()
-    candidates = shape_starts(structure, theta, motion)
     outcomes: list[tuple[float, Array]] = []
-    for candidate in candidates:
+    for candidate in starts:
         outcomes += _first_pass(trial, structure, short, candidate)
     outcomes.sort(key=lambda pair: pair[0])
     level = trial.level

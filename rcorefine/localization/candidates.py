@@ -21,15 +21,16 @@ from ..effects.springs import Stiffness
 from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..inference.fit import Fit
-from ..inference.outcome import output_weights
-from ..inference.problem import Problem
 from ..inference.refinement import Refinement
 from ..inference.starts import Motion, law_widths
+from ..inference.whitening import Whitener
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .damage_map import HypothesisRow
 from .damping import RatioStructure
-from .estimate import Joint, log_likelihood
+from .estimate import Joint, best_fit
+
+_CHANGE = 1.0  # share of a value; of changes that fit alike, larger ones are less plausible
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +153,6 @@ class SharedSetting:
     segments: tuple[Measurement, ...]
     noise: Any
     initial: Array | None
-    substeps: int
     motion: Motion
     nominal: Mapping[tuple[str, str], float]
 
@@ -163,35 +163,30 @@ class SharedSetting:
         plain = made(self.physical, everything)
         return made(self.physical, everything, constants=law_widths(plain, self.motion))
 
-    def priors(self, structure: Structure, effects: Sequence[Effect]) -> tuple[Array, Array]:
-        """Gaussian priors of all coefficients."""
-        mean = np.zeros(structure.n_parameters)
-        sd = np.full(structure.n_parameters, np.inf)
+    def joint(self, effects: Sequence[Effect]) -> Joint:
+        """Estimate some effects with all nuisances."""
+        structure = self.structure(effects)
+        mean, sd = np.zeros(structure.n_parameters), np.full(structure.n_parameters, np.inf)
+        loose = np.zeros(structure.n_parameters, dtype=bool)
         for i, parameter in enumerate(structure.parameters):
             if parameter.effect < len(effects):
                 effect = effects[parameter.effect]
                 if parameter.name in effect.prior:
-                    sd[i] = effect.prior[parameter.name]
-                    mean[i] = effect.start.get(parameter.name, 0.0)
+                    sd[i], mean[i] = effect.prior[parameter.name], effect.start.get(parameter.name, 0.0)
+                elif size := abs(self.nominal.get((effect.kind, effect.place), 0.0)):
+                    sd[i], loose[i] = _CHANGE * size, True
             elif parameter.effect < len(effects) + len(self.nuisances):
                 sd[i] = self.nuisance_sd[parameter.effect - len(effects)]
         if isinstance(structure, RatioStructure):
             mean[structure.ratio_columns[1]], sd[structure.ratio_columns[1]] = 0.5, 0.5
-        return mean, sd
 
-    def joint(self, effects: Sequence[Effect]) -> Joint:
-        """Estimate of some effects with all nuisances, not started yet."""
-        structure = self.structure(effects)
-        mean, sd = self.priors(structure, effects)
-        initial = self.initial
-        if initial is not None:
-            initial = np.pad(initial, (0, structure.n_states - initial.size))
-        problem = Problem(
-            structure, self.segments, output_weights(list(self.segments), self.noise), prior_mean=mean,
-            prior_sd=sd, substeps=self.substeps, hold_brief=False,
-            initial=initial,
-        )  # fmt: skip
-        return Joint(problem, self.noise, n_changes=len(effects))
+        def fit() -> Fit:
+            roles = ["effect"] * len(structure.effects)
+            found = Fit(structure, roles, self.segments, self.noise, self.initial, 0.0)
+            found.mean, found.sd, found.loose = mean, sd, loose
+            return found
+
+        return Joint(best_fit(fit, self.motion))
 
 
 def named_hypotheses(hypotheses: Any) -> dict[str, tuple[Effect, ...]]:
@@ -278,17 +273,8 @@ def rank_hypotheses(setting: SharedSetting, hypotheses: Any) -> tuple[Hypothesis
 
 def _fitted(setting: SharedSetting, name: str, effects: tuple[Effect, ...]) -> HypothesisRow:
     joint = setting.joint(effects)
-    structure = joint.structure
-    if structure.is_linear:
-        joint.start()
-        joint.fit(np.ones(structure.n_parameters, dtype=bool), reweigh=True)
-    else:
-        fit = Fit(structure, ["effect"] * len(structure.effects), setting.segments, setting.noise, None, 0.0)
-        fit.mean, fit.sd = joint.problem.prior_mean, joint.problem.prior_sd
-        fit.initial = joint.problem.initial
-        fit.run(setting.motion, None)
-        joint.problem, joint.point = fit.problem, fit.result.point
-    value, colours = log_likelihood(joint.residual)
+    structure, whitener = joint.structure, Whitener.fit([joint.residual], floor=1e-150)
+    value = whitener.log_likelihood(joint.residual.shape[1])
     spread = joint.spread(np.ones(structure.n_parameters, dtype=bool))
     changes, std, percent = {}, {}, {}
     for i, parameter in enumerate(structure.parameters):
@@ -298,6 +284,8 @@ def _fitted(setting: SharedSetting, name: str, effects: tuple[Effect, ...]) -> H
             size = setting.nominal.get((effect.kind, effect.place), 0.0)
             if size:
                 percent[parameter.label] = 100.0 * change / size
-    bic = float(-2.0 * value + (structure.n_parameters + colours) * np.log(joint.problem.n_points))
+    bic = float(
+        -2.0 * value + (structure.n_parameters + sum(whitener.orders)) * np.log(joint.problem.n_points)
+    )
     fit_percent = tuple(map(float, joint.fit_percent))
     return HypothesisRow(name, effects, changes, std, percent, fit_percent, value, bic, 0.0)

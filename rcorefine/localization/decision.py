@@ -1,6 +1,6 @@
 """Decision on which candidates are needed to explain the record.
 
-Backward elimination with refits comes first, then a search for other explanations.
+Backward elimination with refits.
 """
 
 from __future__ import annotations
@@ -34,7 +34,6 @@ class Decision(NamedTuple):
     std: Array  #: their standard deviations, (m,)
     p_value: Array  #: two-sided, of `change`, not corrected for multiplicity, (m,)
     groups: tuple[tuple[int, ...], ...]  #: candidates whose sensitivities are nearly collinear
-    other_valley: bool  #: whether more changes, elsewhere, would explain the record as well
 
 
 def decide(joint: Joint, candidates: list[DamageCandidate], significance: float) -> Decision:
@@ -58,12 +57,8 @@ def decide(joint: Joint, candidates: list[DamageCandidate], significance: float)
     Decision
     """
     chosen = _Selection(joint, candidates, significance)
-    elsewhere, level = False, joint.problem.cost(joint.point)
-    if len(chosen.kept) > 1 and joint.sparser(chosen.active, len(chosen.kept)) is not None:
-        # the same response with fewer changes: decide there
-        reached = joint.problem.cost(joint.point)
-        elsewhere = 2.0 * (level - reached) < levels().rival * 2.0 * reached / joint.problem.n_points
-        chosen = _Selection(joint, candidates, significance)
+    if len(chosen.kept) > 1 and joint.sparser(chosen.active, chosen.where):
+        chosen = _Selection(joint, candidates, significance)  # the same response with fewer changes
     chosen.take_back()
     joint.fit(chosen.active, reweigh=True)
     rivals = chosen.swap()
@@ -86,9 +81,7 @@ def decide(joint: Joint, candidates: list[DamageCandidate], significance: float)
     p_value = chosen.p_values(change, std, range(len(candidates)))
     alternatives = {i: tuple(others) for i, others in rivals.items() if others}
     named = tuple(sorted(chosen.kept))
-    return Decision(
-        named, alternatives, estimate, spread, covariance, change, std, p_value, groups, elsewhere
-    )
+    return Decision(named, alternatives, estimate, spread, covariance, change, std, p_value, groups)
 
 
 class _Selection:

@@ -6,7 +6,7 @@ frequency response.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import combinations, product
 from typing import NamedTuple
@@ -19,14 +19,14 @@ from scipy.optimize import least_squares
 from ..comparison.signals import fit_percent
 from ..data.measurement import Measurement
 from ..effects.springs import Stiffness
-from ..engine.observer import observer_gain
 from ..engine.structure import Structure
 from ..exceptions import DataError
 from ..inference.covariance import colored, covariance, pseudo_inverse, standard_deviations
+from ..inference.fit import Fit
 from ..inference.outcome import output_weights
 from ..inference.problem import Problem, descend
 from ..inference.search import starting_states
-from ..inference.starts import far_starts
+from ..inference.starts import Motion
 from ..inference.whitening import Whitener, autoregression
 from ..systems.linear import Array
 
@@ -208,12 +208,9 @@ def sparse_starts(
     return found
 
 
-_RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
-_SHORT = 4000  # samples of the first pass
 _WHITE = 0.6  # innovation over residual power above which a free run has found its valley
-_HOPELESS = 0.5  # whiteness against that of the present fit
-_EXACT = 1e-6  # residual over signal power that needs no further search
-_MOST_EVALUATIONS = 40
+_MOST_EVALUATIONS, _FEW_EVALUATIONS = 40, 12
+_HOPELESS = 4.0  # times the present cost, above which fewer changes are not followed further
 # until a thousandth of a standard deviation is left
 _lowered = partial(descend, tolerance=0.0, unnoticed=5e-7)
 
@@ -244,20 +241,13 @@ class Joint:
 
     Parameters
     ----------
-    problem : Problem
-        Model with every candidate and nuisance on the records, each with an initial state of its own.
-    noise : float or sequence of float, optional
-        Declared sensor noise; estimated where None.
-    n_changes : int
-        The first so many effects are candidates, the others nuisances.
+    fit : Fit
+        With every candidate and nuisance free.
     """
 
-    def __init__(
-        self, problem: Problem, noise: float | Sequence[float] | None, *, n_changes: int = 0
-    ) -> None:
-        self.problem, self.noise, self.n_changes = problem, noise, n_changes
-        self.point = np.zeros(problem.size)
-        self.converged = False
+    def __init__(self, fit: Fit) -> None:
+        self.problem, self.noise, self.loose = fit.problem, fit.noise, fit.loose
+        self.point, self.converged = fit.result.point, fit.result.converged
         self._information: Information | None = None
 
     @property
@@ -282,106 +272,40 @@ class Joint:
         """
         return np.flatnonzero(_moving(self.problem, active))
 
-    # ------------------------------------------------------------------ estimates
-    def start(self) -> None:
-        """Find the valley on the first samples, all coefficients free.
-
-        Observer-held fits from high to low gain, each polished as a free run; then starts
-        from the measured frequency response; last scans over decades.
-        The first that leaves a white residual ends the search.
-        """
-        trial = self._shortened()
-        best: tuple[float, Array] | None = None
-        for theta in self._starts(trial):
-            free = trial.inside(trial.pack(theta, starting_states(trial, theta)))
-            found = _lowered(trial, free, evaluations=_MOST_EVALUATIONS)
-            if best is None or found.cost < best[0]:
-                best = found.cost, found.point
-                if found.cost < _EXACT * trial.level or _whiteness(trial, found.point) > _WHITE:
-                    break
-        assert best is not None
-        self.point = self._lengthened(trial, best[1])
-
-    def _shortened(self) -> Problem:
-        """Return the problem on the first samples of the first records."""
-        return self.problem.like(records=[self.records[0]._part(slice(0, _SHORT)), *self.records[1:2]])
-
-    def _lengthened(self, trial: Problem, point: Array) -> Array:
-        """Extend a point on shortened records to the whole records.
-
-        The first records keep the initial states of the short ones.
-        """
-        theta, known = trial.unpack(point)
-        if not trial.free_start:
-            return np.array(theta)
-        states = known
-        if len(self.records) > len(known):
-            states = starting_states(self.problem, theta)
-            states[: len(known)] = known
-        return self.problem.pack(theta, states)
-
-    def _starts(self, trial: Problem) -> Iterator[Array]:
-        """Yield starting values for the coefficients.
-
-        Each is computed only after the previous ones have failed.
-        """
-        start = self.structure.start()
-        yield start
-        yield from self._held(trial, start, _RATIOS)
-        for far in spectral_starts(self.structure, start, self.records[0]):
-            yield far
-            yield from self._held(trial, far, _RATIOS[1:])
-        yield from far_starts(trial, self.structure, start)
-
-    def _held(self, trial: Problem, theta: Array, ratios: Sequence[float]) -> Iterator[Array]:
-        """Fits of the innovations of an observer, gain after gain."""
-        held = trial.inside(trial.pack(theta, np.zeros((len(trial.records), trial.n_states))))
-        for ratio in ratios:
-            gain = observer_gain(self.structure, held[: trial.n_theta], trial.records[0], ratio)
-            if np.isfinite(gain).all():
-                held = descend(trial, held, gain=gain, evaluations=12, tolerance=1e-6).point
-                yield held[: trial.n_theta]
-
-    def sparser(self, active: NDArray[np.bool_], size: int) -> NDArray[np.bool_] | None:
-        """Search for fewer changes that explain the record equally well.
-
-        The search covers points far from the present one.
+    def sparser(self, active: NDArray[np.bool_], candidates: NDArray[np.int64]) -> bool:
+        """Search for fewer changes that explain the record as well, also far off.
 
         Parameters
         ----------
         active : ndarray of bool, shape (p,)
-            Present coefficients.
-        size : int
-            Candidates among them; fewer are looked for.
+            Present coefficients; the sparser ones on return.
+        candidates : ndarray of int
+            Columns of the changes.
 
         Returns
         -------
-        ndarray of bool, or None
-            The sparser set, to which the point has moved; None where there is none.
+        bool
+            Whether the point has moved to fewer changes.
         """
-        reference = self.point.copy()
-        cost = self.fit(active)
-        scale = 2.0 * cost / self.problem.n_points
-        start = self.structure.start()
-        trial = self._shortened()
+        reference, cost, size = self.point.copy(), self.fit(active), int(active[candidates].sum())
+        scale, start = 2.0 * cost / self.problem.n_points, self.structure.start()
         for members, theta in sparse_starts(self.structure, start, self.records[0], size - 1):
-            few = np.ones(active.size, dtype=bool)
-            few[[i for i, q in enumerate(self.structure.parameters) if q.effect < self.n_changes]] = False
+            few = active.copy()
+            few[candidates] = False
             few[list(members)] = True
-            start_at = trial.inside(trial.pack(theta, starting_states(trial, theta)))
-            point = _lowered(trial, start_at, free=_moving(trial, few), evaluations=20).point
-            if _whiteness(trial, point) < _HOPELESS * _whiteness(self.problem, reference):
+            self.point = self.problem.pack(theta, starting_states(self.problem, theta))
+            if self.fit(few, evaluations=_FEW_EVALUATIONS) > _HOPELESS * cost:
                 continue
-            self.point = self._lengthened(trial, point)
-            reached = self.fit(few)
             price = (size - len(members)) * np.log(self.problem.n_points)
-            if 2.0 * (reached - cost) / scale < price:
-                return few
-        self.point = reference
-        self._information = None
-        return None
+            if 2.0 * (self.fit(few) - cost) / scale < price:
+                active[:] = few
+                return True
+        self.point, self._information = reference, None
+        return False
 
-    def fit(self, active: NDArray[np.bool_], *, reweigh: bool = False) -> float:
+    def fit(
+        self, active: NDArray[np.bool_], *, reweigh: bool = False, evaluations: int = _MOST_EVALUATIONS
+    ) -> float:
         """Minimize over the active coefficients and the initial states.
 
         Parameters
@@ -390,6 +314,8 @@ class Joint:
             Coefficients that move; the others stay where they are.
         reweigh : bool
             Whether to take the noise levels from the residual, and fit once more.
+        evaluations : int
+            Simulations at most.
 
         Returns
         -------
@@ -399,7 +325,7 @@ class Joint:
         again = reweigh and self.noise is None
         for _ in range(3 if again else 1):
             free = _moving(self.problem, active)
-            found = _lowered(self.problem, self.point, free=free, evaluations=_MOST_EVALUATIONS)
+            found = _lowered(self.problem, self.point, free=free, evaluations=evaluations)
             self.point, self.converged, self._information = found.point, found.converged, None
             if again:
                 before = self.problem.weights
@@ -416,7 +342,9 @@ class Joint:
         """
         if self._information is None:
             residuals, slopes, columns = zip(*self.problem.own_blocks(self.point), strict=True)
-            normal, middle = colored(residuals, slopes, self.problem.precision, columns=columns)
+            precision = self.problem.precision
+            precision[: self.loose.size][self.loose] = 0.0
+            normal, middle = colored(residuals, slopes, precision, columns=columns)
             _, gradient = self.problem.evaluate(self.point).normal()
             self._information = Information(gradient, normal, middle)
         return self._information
@@ -446,37 +374,36 @@ class Joint:
         return Whitener.fit([self.residual]).orders
 
 
-def log_likelihood(residual: Array) -> tuple[float, int]:
-    """Return the Gaussian log-likelihood of a whitened residual.
-
-    An autoregression per output whitens the residual.
-
-    Parameters
-    ----------
-    residual : ndarray, shape (n_y, N)
-        Residual of a free run.
-
-    Returns
-    -------
-    value : float
-        Log-likelihood up to a constant.
-    count : int
-        Coefficients that the autoregressions took.
-    """
-    whitener = Whitener.fit([residual], floor=1e-150)
-    return whitener.log_likelihood(residual.shape[1]), sum(whitener.orders)
-
-
 def _moving(problem: Problem, active: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return which unknowns move: active coefficients, initial states."""
     return np.pad(active, (0, problem.size - active.size), constant_values=True)
 
 
-def _whiteness(problem: Problem, point: Array) -> float:
-    """Return the smallest ratio of innovation power to residual power.
+def best_fit(fit: Callable[[], Fit], motion: Motion) -> Fit:
+    """Fit all changes, from the spectrum too where the residual is not white.
 
-    The minimum is over the outputs. It is 1 for a white residual.
+    Parameters
+    ----------
+    fit : callable
+        Makes the fit.
+    motion : Motion
+        Motion of the undamaged model.
+
+    Returns
+    -------
+    Fit
+        The one that is closest to the record.
     """
-    rows = np.concatenate([r for r, _, _ in problem.own_blocks(point)], axis=1)
-    powers = [(float(np.mean(row**2)), row) for row in rows]
-    return min([1.0, *(autoregression(row)[1] / power for power, row in powers if power > 0)])
+    found = fit()
+    found.run(motion, None)
+    residual = np.concatenate([r for r, _, _ in found.problem.own_blocks(found.result.point)], axis=1)
+    powers = [(float(np.mean(row**2)), row) for row in residual]
+    whitest = min([1.0, *(autoregression(row)[1] / power for power, row in powers if power > 0)])
+    if whitest > _WHITE or not found.structure.is_linear:
+        return found
+    starts = spectral_starts(found.structure, found.structure.start(), found.segments[0])
+    if not starts:
+        return found
+    other = fit()
+    other.run(motion, None, starts=starts)
+    return min(found, other, key=lambda one: one.cost)

@@ -53,10 +53,6 @@ from .estimate import Joint
 
 _CALIBRATION = 0.1  # relative sd of a sensor gain, where the record does not say
 _RULES = ("links", "ratio", "fixed")
-_OTHER_VALLEY = (
-    "Another set of changes, at more places, would explain the record about as well, because there are few "
-    "sensors. The result is the set with fewer places."
-)
 _UNEXPLAINED = (
     "The changes do not explain the record: {test}. An effect is missing in the model, and a reported "
     "change may be caused by it. Run diagnose() to find the effect."
@@ -142,7 +138,6 @@ def _message(
     parts = (
         "Converged." if joint.converged else "Not converged; the values may be inaccurate.",
         explained,
-        _OTHER_VALLEY if decision.other_valley else "",
         note,
     )
     return " ".join(part for part in parts if part)
@@ -280,7 +275,7 @@ def localize_damage(
         as_choice(damping, "damping", _RULES)
     significance, power = as_share(significance, "significance"), as_share(power, "power")
     least = as_number(least, "least (in percent)", least=0.0)
-    physical, base, substeps = _baseline(model)
+    physical, base = _baseline(model)
     nominal = nominal_values(model, physical)
     rule = damping or default_rule(physical, nominal)
     effects = candidate_effects(physical, candidates, rule)
@@ -289,7 +284,7 @@ def localize_damage(
     if watched is not None:
         noise, said = watched.noise(noise), " ".join(watched.said)
         records = [watched.record(record) for record in records]
-        physical, base, substeps = _baseline(watched.model)
+        physical, base = _baseline(watched.model)
         warn(said, ExcitationWarning)
     initial = as_state(x0, physical.linear.n_states)
     scenarios = None if hypotheses is None else named_hypotheses(hypotheses)
@@ -314,11 +309,10 @@ def localize_damage(
         nuisances, spreads = _nuisances(physical, base, effects, rule, nominal, tolerance, offset, records[0])
         setting = SharedSetting(
             physical, base, nuisances, spreads, rule == "ratio", tuple(segments),
-            noise, initial, substeps, motion, nominal,
+            noise, initial, motion, nominal,
         )  # fmt: skip
         joint = setting.joint(effects)
         rows = as_candidates(joint.structure, effects, nominal, tolerance, least)
-        joint.start()
         decision = decide(joint, rows, significance)
         ranking = () if scenarios is None else rank_hypotheses(setting, scenarios)
         tests = residual_tests(joint)
@@ -329,15 +323,15 @@ def localize_damage(
     return result
 
 
-def _baseline(model: Any) -> tuple[PhysicalModel, tuple[Effect, ...], int]:
-    """Return the undamaged structure, its fixed effects and substeps.
+def _baseline(model: Any) -> tuple[PhysicalModel, tuple[Effect, ...]]:
+    """Return the undamaged structure and its fixed effects.
 
     Effects that a `Refinement` found stay at their values.
     """
     if not isinstance(model, Refinement):
-        return refuse_point(as_physical(model), "localize_damage"), (), 1
+        return refuse_point(as_physical(model), "localize_damage"), ()
     refuse_point(model.physical_model, "localize_damage")
-    structure, theta, substeps = model.simulation_structure()
+    structure, theta, _ = model.simulation_structure()
     held = []
     for index, effect in enumerate(structure.effects):
         if model.roles[index] == "offset":
@@ -345,7 +339,7 @@ def _baseline(model: Any) -> tuple[PhysicalModel, tuple[Effect, ...], int]:
         values = {name: float(structure.value(theta, index, name)) for name in effect.coefficients}
         constants = {"width": structure.constants[index]} if index in structure.constants else {}
         held.append(effect.replace(start={}, prior={}, fixed={**effect.fixed, **constants, **values}))
-    return model.physical_model, tuple(held), substeps
+    return model.physical_model, tuple(held)
 
 
 def _nuisances(
