@@ -220,14 +220,14 @@ LAWS = {
 def test_answers_of_all_lines_are_those_of_one_sine_at_a_time(kind):
     from rcorefine.data.response_record import ResponseRecord
     from rcorefine.engine.amplitude_response import ResponseEngine
-    from rcorefine.engine.harmonic_balance import Balance
+    from rcorefine.engine.harmonic_balance import SineBalance
     from rcorefine.engine.structure import Structure
 
     one = rco.mass_spring_damper(1.0, 0.4, 100.0, sensors="displacement", outputs="q1")
     place, theta, close = LAWS[kind]
     structure = Structure(one, [effect(kind, place)], constants={0: 1e-4})
     omega, theta = np.linspace(5.0, 16.0, 12), np.array(theta)
-    balance = Balance(structure, theta, 0, 15)
+    balance = SineBalance(structure, theta, 0, 15)
     slow = np.array([balance.solve(w, 2.0, []).outputs[0, 1] / 2.0 for w in omega])
     data = rco.FrequencyResponse(slow, omega, amplitude=2.0, input_labels="force", output_labels="q1")
     engine = ResponseEngine(structure, ResponseRecord.plain(data, one.linear))

@@ -15,7 +15,7 @@ from ..data.response_record import ResponseRecord, in_frequency, noise_is_known,
 from ..effects.effect import Effect
 from ..effects.law import KINDS
 from ..engine.amplitude_response import is_linear
-from ..engine.line_balance import remembering
+from ..engine.harmonic_balance import remembering
 from ..engine.structure import Structure
 from ..exceptions import DataError, ModelError
 from ..inference.assembly import spread_lines, windows

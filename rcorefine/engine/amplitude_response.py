@@ -24,8 +24,7 @@ from ..results import Result
 from ..systems.linear import Array, LinearModel
 from .controlled import open_loop
 from .engine import Engine, Trajectory
-from .harmonic_balance import Balance, SteadyState
-from .line_balance import LineBalance, remembering
+from .harmonic_balance import LineBalance, SineBalance, SteadyState, remembering
 from .observer import leading_gain
 from .setting import TINY_STEP, tiny_steps
 from .simulation import structure_of
@@ -160,7 +159,7 @@ def frequency_response_at(
     structure, theta, _ = structure_of(model)
     linear = refuse_point(open_loop(structure).model, "frequency_response_at").linear
     channel = _channel(source, linear.input_labels)
-    balance = Balance(open_loop(structure), theta, channel, int(harmonics))
+    balance = SineBalance(open_loop(structure), theta, channel, int(harmonics))
     order = np.argsort(points, kind="stable")[:: 1 if sweep == "up" else -1]
     shape = (levels.size, linear.n_outputs, points.size)
     response = np.full(shape, np.nan, dtype=complex)
@@ -197,7 +196,7 @@ def frequency_response_at(
 
 
 def _onward(
-    balance: Balance, omega: float, peak: float, sweep: str, way: list[tuple[float, SteadyState]]
+    balance: SineBalance, omega: float, peak: float, sweep: str, way: list[tuple[float, SteadyState]]
 ) -> SteadyState:
     """Return the steady state at the next frequency of a sweep.
 
@@ -229,7 +228,7 @@ def _onward(
     return _settled(balance, omega, peak, sweep, state)
 
 
-def _settled(balance: Balance, omega: float, peak: float, sweep: str, state: SteadyState) -> SteadyState:
+def _settled(balance: SineBalance, omega: float, peak: float, sweep: str, state: SteadyState) -> SteadyState:
     """Return a stable steady state, if one is found.
 
     If `state` is not stable, sweep to it from a distant frequency, then simulate from rest.
