@@ -540,7 +540,10 @@ class LineBalance(Balance):
 
 
 def _periodic(law: InputLaw | OutputLaw, signal: Array, values: Any, step: float = 1.0) -> Array:
-    """Return a period behind a law; with memory, the second of two turns has forgotten where it began."""
+    """Return a period behind a law.
+
+    With memory, the second of two turns has forgotten where it began.
+    """
     turns = 1 + (law.inner_states > 0)
     return np.asarray(law.through(np.tile(signal, turns), *values, step=step)[0][-signal.size :])
 
