@@ -176,8 +176,9 @@ class Fitter:
         def build(records: Sequence[Measurement], steps: int, unknown_start: bool = False) -> Problem:
             return problem.like(records=records, substeps=steps)
 
-        structure = problem.structure
-        starts = shape_starts(structure, structure.start(), self.motion)
+        structure, theta = problem.structure, self.fitted.theta
+        theta = np.concatenate([theta, structure.start()[theta.size :]])
+        starts = shape_starts(structure, theta, self.motion, len(self.fitted.structure.effects))
         try:
             point, steps = search(build, structure, problem.records, starts, problem.substeps)
         except (np.linalg.LinAlgError, ValueError):  # no observer exists for this model

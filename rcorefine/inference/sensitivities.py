@@ -42,8 +42,8 @@ class Candidate:
             problem, point = self.fitted.extended([self.effect], self.motion)
             theta = problem.unpack(point)[0]
             p = self.fitted.structure.n_parameters
-            starts = []
-            for shape in shape_starts(problem.structure, theta, self.motion):
+            starts, known = [], len(self.fitted.structure.effects)
+            for shape in shape_starts(problem.structure, theta, self.motion, known):
                 shifted = point.copy()
                 shifted[p : theta.size] = shape[p:]
                 starts.append(problem.inside(shifted))

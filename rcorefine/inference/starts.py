@@ -211,7 +211,7 @@ def law_widths(structure: Structure, motion: Motion) -> dict[int, float]:
     return widths
 
 
-def shape_starts(structure: Structure, theta: Array, motion: Motion) -> list[Array]:
+def shape_starts(structure: Structure, theta: Array, motion: Motion, first: int = 0) -> list[Array]:
     """Return starting points for the shape coefficients of effects.
 
     These are gaps, delays, limits and the like.
@@ -224,6 +224,8 @@ def shape_starts(structure: Structure, theta: Array, motion: Motion) -> list[Arr
         Default start; user's own starts are kept.
     motion : Motion
         Estimated motion at the ports.
+    first : int
+        First of the effects whose shape is open; those before it keep theirs.
 
     Returns
     -------
@@ -231,7 +233,7 @@ def shape_starts(structure: Structure, theta: Array, motion: Motion) -> list[Arr
         Points to try, the default first where nothing needs a shape.
     """
     joint: list[list[list[tuple[int, float]]]] = []
-    for index, effect in enumerate(structure.effects):
+    for index, effect in enumerate(structure.effects[first:], first):
         given = effect.start or {}
         wanted = {
             name: structure.position(index, name)

@@ -207,7 +207,7 @@ def fit_candidate(
     upper[known] -= 1e-3 * np.abs(upper[known])
     points = [np.asarray(s, dtype=float) for s in starts if len(s) == p - p0 and np.isfinite(s).all()]
     if added and not (alone and points):
-        points += [s[p0:] for s in shape_starts(structure, theta0, motion)[:_MOST_STARTS]]
+        points += [s[p0:] for s in shape_starts(structure, theta0, motion, len(old.effects))[:_MOST_STARTS]]
     best: CandidateFit | None = None
     for start in points or [np.zeros(0)]:
         low, high = lower.copy(), upper.copy()
