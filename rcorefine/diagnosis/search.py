@@ -144,10 +144,12 @@ class Search:
         """Return whether a trial adds a state that the record does not need.
 
         A black box without that state reaches the same error: other entries of the matrices explain the
-        record as well.
+        record as well. Not at a mechanical place, where entries that are zero follow from the kinematics.
         """
         if trial not in self._spare:
-            added = sum(e.spec.inner_states for e in trial.effects if e.spec.linear and not e.spec.at_channel)
+            ports = {port.name: port.kind for port in trial.problem.structure.model.ports}
+            stores = [e for e in trial.effects if ports.get(e.place, "mechanical") != "mechanical"]
+            added = sum(e.spec.inner_states for e in stores if e.spec.linear)
             judged = self.driven and added and trial.is_linear and not trial.hypothesis.ratio
             order = trial.problem.structure.n_states - added
             self._spare[trial] = bool(judged and order and self._box_suffices(trial, order))
