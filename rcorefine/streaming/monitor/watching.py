@@ -107,9 +107,9 @@ class Alarm(Row):
 
 
 _SHORTLIST = 10
-_LEADERS = 3  # candidates with which the time of the change is settled
+_LEADERS = 5  # candidates with which the time of the change is settled, beside the best of each place
 _MOVES = 4
-_PLACES = 3  # leading fits whose places are searched through
+_PLACES = 3  # leading places
 _UNKNOWN = 4  # coefficients that a change of unknown form would take
 _HOPELESS = 100.0  # sum of squares by which a fit may lie behind before it is given up
 
@@ -373,30 +373,40 @@ class _Contest:
     def moved(
         self, scored: list[tuple[CandidateFit, float]], since: int, latest: int
     ) -> tuple[list[tuple[CandidateFit, float]], int]:
-        """Move the change to the sample at which the leaders fit best.
+        """Move the change to the sample at which the best candidate fits best.
 
-        It may be earlier or later than the linear scores indicate.
+        Each leader is given its own best sample, in steps that are halved down to one: a few samples off, a
+        wrong candidate can fit better than the right one.
         """
         index = {effect: i for i, effect in enumerate(self.stream.bank.candidates)}
-        leaders = [index[fit.effect] for fit, _ in scored[:_LEADERS] if fit.effect is not None]
+        effects = [fit.effect for fit, _ in scored if fit.effect is not None]
+        places = {effect.place: effect for effect in effects[::-1]}  # the best one of each
+        likely = [effect for effect in effects if effect is places[effect.place]]
+        leaders = [index[effect] for effect in dict.fromkeys([*effects[:_LEADERS], *likely[:_PLACES]])]
         known = {fit.effect: fit.coefficients for fit, _ in scored if fit.effect is not None}
         best = {fit.effect: (fit, gain) for fit, gain in scored}
+        own = dict.fromkeys(leaders, since)
         step = max(2 * self.stream.windows.block, 2)
-        top = scored[0][1]
-        for direction in (-1, 1):
-            start = since
-            for _ in range(_MOVES):
-                start += direction * step
-                if start <= self.stream.oldest or start > latest:
-                    break
-                trial = self.fits_from(start, leaders, known)
-                for fit, gain in trial:
-                    if gain > best[fit.effect][1]:
-                        best[fit.effect] = fit, gain
-                if not trial or trial[0][1] <= top:
-                    break
-                top, since = trial[0][1], start
-        return _best_first(best.values()), since
+        while step:
+            for direction in (-1, 1):
+                going = leaders
+                for _ in range(_MOVES):
+                    starts: dict[int, list[int]] = {}
+                    for i in going:
+                        start = own[i] + direction * step
+                        if self.stream.oldest < start <= latest:
+                            starts.setdefault(start, []).append(i)
+                    going = []
+                    for start, which in starts.items():
+                        for fit, gain in self.fits_from(start, which, known):
+                            if fit.effect is not None and gain > best[fit.effect][1]:
+                                best[fit.effect] = fit, gain
+                                own[index[fit.effect]] = start
+                                going.append(index[fit.effect])
+            step //= 2
+        ranked = _best_first(best.values())
+        first = ranked[0][0].effect
+        return ranked, since if first is None else own.get(index[first], since)
 
 
 def find_state(stream: Stream) -> None:
