@@ -38,7 +38,7 @@ BUDGET = {
     ".": 7900, "arguments": 2156, "commands": 8295, "comparison": 28176, "data": 24688, "diagnosis": 68675,
     "effects": 29852, "engine": 46748, "examples": 2261, "exercises": 5074, "explorer": 11520, "export":
     6216, "fleet": 10352, "inference": 31544, "localization": 12050, "models": 40789, "refinement": 1834,
-    "streaming": 73311, "systems": 5887, "views": 41255,
+    "streaming": 73383, "systems": 5887, "views": 41255,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.

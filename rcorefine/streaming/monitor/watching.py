@@ -378,35 +378,45 @@ class _Contest:
         Each leader is given its own best sample, in steps that are halved down to one: a few samples off, a
         wrong candidate can fit better than the right one.
         """
-        index = {effect: i for i, effect in enumerate(self.stream.bank.candidates)}
-        effects = [fit.effect for fit, _ in scored if fit.effect is not None]
-        places = {effect.place: effect for effect in effects[::-1]}  # the best one of each
-        likely = [effect for effect in effects if effect is places[effect.place]]
-        leaders = [index[effect] for effect in dict.fromkeys([*effects[:_LEADERS], *likely[:_PLACES]])]
-        known = {fit.effect: fit.coefficients for fit, _ in scored if fit.effect is not None}
         best = {fit.effect: (fit, gain) for fit, gain in scored}
-        own = dict.fromkeys(leaders, since)
+        own = dict.fromkeys(_leaders(scored), since)
         step = max(2 * self.stream.windows.block, 2)
         while step:
-            for direction in (-1, 1):
-                going = leaders
+            for way in (-step, step):
+                going = list(own)
                 for _ in range(_MOVES):
-                    starts: dict[int, list[int]] = {}
-                    for i in going:
-                        start = own[i] + direction * step
-                        if self.stream.oldest < start <= latest:
-                            starts.setdefault(start, []).append(i)
-                    going = []
-                    for start, which in starts.items():
-                        for fit, gain in self.fits_from(start, which, known):
-                            if fit.effect is not None and gain > best[fit.effect][1]:
-                                best[fit.effect] = fit, gain
-                                own[index[fit.effect]] = start
-                                going.append(index[fit.effect])
+                    going = self._stepped({e: own[e] + way for e in going}, latest, best)
+                    own |= {effect: own[effect] + way for effect in going}
             step //= 2
         ranked = _best_first(best.values())
         first = ranked[0][0].effect
-        return ranked, since if first is None else own.get(index[first], since)
+        return ranked, since if first is None else own.get(first, since)
+
+    def _stepped(
+        self,
+        starts: Mapping[Effect, int],
+        latest: int,
+        best: dict[Effect | None, tuple[CandidateFit, float]],
+    ) -> list[Effect]:
+        """Fit candidates from samples; enter and return what is better."""
+        index = {effect: i for i, effect in enumerate(self.stream.bank.candidates)}
+        known = {effect: best[effect][0].coefficients for effect in starts}
+        better: list[Effect] = []
+        for start in dict.fromkeys(s for s in starts.values() if self.stream.oldest < s <= latest):
+            which = [index[effect] for effect, own in starts.items() if own == start]
+            for fit, gain in self.fits_from(start, which, known):
+                if fit.effect is not None and gain > best[fit.effect][1]:
+                    best[fit.effect] = fit, gain
+                    better.append(fit.effect)
+        return better
+
+
+def _leaders(scored: Sequence[tuple[CandidateFit, float]]) -> list[Effect]:
+    """Return the best candidates, and the best ones of the best places."""
+    effects = [fit.effect for fit, _ in scored if fit.effect is not None]
+    places = {effect.place: effect for effect in effects[::-1]}
+    likely = [effect for effect in effects if effect is places[effect.place]]
+    return list(dict.fromkeys([*effects[:_LEADERS], *likely[:_PLACES]]))
 
 
 def find_state(stream: Stream) -> None:
