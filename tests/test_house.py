@@ -36,8 +36,8 @@ ORDER = (
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
     ".": 7900, "arguments": 2156, "commands": 8295, "comparison": 28176, "data": 24688, "diagnosis": 68675,
-    "effects": 29852, "engine": 46748, "examples": 2261, "exercises": 5074, "explorer": 11520, "export":
-    6216, "fleet": 10352, "inference": 31544, "localization": 12050, "models": 40789, "refinement": 1834,
+    "effects": 29852, "engine": 46871, "examples": 2261, "exercises": 5074, "explorer": 11520, "export":
+    6216, "fleet": 10352, "inference": 31657, "localization": 12050, "models": 40789, "refinement": 1834,
     "streaming": 73383, "systems": 5887, "views": 41255,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and

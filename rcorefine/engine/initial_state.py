@@ -72,6 +72,19 @@ def brief_modes(engine: Engine) -> Array:
     return np.pad(rows, ((0, 0), (0, added)))
 
 
+def added_states(engine: Engine, theta: Array) -> Array:
+    """Return a wide prior of initial states that effects add.
+
+    It has rows like that of `brief_modes`. The states start about as large as they become with the
+    coefficients `theta`. A lag that vanishes could otherwise start anywhere, with the same outputs.
+    """
+    structure, n = engine.structure, engine.structure.linear_model.n_states
+    run = engine.run(theta, sensitivity=False, histories=True, check=False)
+    size = np.abs(run.states[n:]).max(axis=1, initial=0.0)
+    moved = np.isfinite(size) & (size > 0)
+    return np.asarray(np.eye(structure.n_states)[n:][moved] / (_WIDE * size[moved])[:, None])
+
+
 def estimate_initial_state(
     engine: Engine,
     theta: Array,

@@ -21,7 +21,7 @@ from .problem import Descent, Problem, descend
 from .search import search, starting_states, sufficient_steps
 from .starts import Motion, shape_starts
 
-_ROUGHLY, _EXACTLY = 1e-2, 1e-6  # of the log likelihood: a polish before and after the substep is settled
+_ROUGHLY, _EXACTLY = 1e-2, 1e-9  # of the log likelihood: a polish before and after the substep is settled
 
 
 class Fit:
@@ -69,6 +69,7 @@ class Fit:
             prior_sd=self.sd,
             substeps=steps,
             initial=None if unknown_start else self.initial,
+            hold_added=True,
         )
 
     def run(

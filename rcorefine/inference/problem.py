@@ -18,7 +18,7 @@ from ..data.measurement import Measurement
 from ..data.records import at_rest
 from ..data.response_record import ResponseRecord, in_frequency
 from ..engine.amplitude_response import engine_on, is_linear
-from ..engine.initial_state import brief_modes
+from ..engine.initial_state import added_states, brief_modes
 from ..engine.structure import Structure
 from ..gauss_newton import Bordered, Rows, gauss_newton, promised
 from ..systems.linear import Array
@@ -113,6 +113,8 @@ class Problem:
     hold_brief : bool
         Whether brief modes start as they move (`brief_modes`), to a prior in units of the noise: not where
         the weights are no noise levels.
+    hold_added : bool
+        Whether states that effects add start about as large as they become (`added_states`).
 
     Attributes
     ----------
@@ -131,6 +133,7 @@ class Problem:
         substeps: int = 1,
         initial: Array | None = None,
         hold_brief: bool = True,
+        hold_added: bool = False,
     ) -> None:
         self.structure, self.weights = structure, weights
         self.coordinates = Coordinates(structure)
@@ -147,7 +150,7 @@ class Problem:
         ]
         self.n_theta, self.n_states = p, structure.n_states
         self.free_start = initial is None
-        self.hold_brief = hold_brief
+        self.hold_brief, self.hold_added = hold_brief, hold_added
         self._cache: tuple[Array, Array | None, Evaluation] | None = None
         self.n_points = sum(record.outputs.size for record in self.records)
 
@@ -156,7 +159,7 @@ class Problem:
     ) -> Problem:
         """Return a copy with another structure, other records or arguments."""
         structure = structure or self.structure
-        names = ("weights", "prior_mean", "prior_sd", "substeps", "hold_brief")
+        names = ("weights", "prior_mean", "prior_sd", "substeps", "hold_brief", "hold_added")
         given = {name: getattr(self, name) for name in names}
         if self.initial is not None:
             given["initial"] = np.pad(self.initial, (0, structure.n_states - self.initial.size))
@@ -276,6 +279,10 @@ class Problem:
         if self.free_start:
             none = np.zeros((0, self.n_states))
             starts = [brief_modes(engine) if self.hold_brief else none for engine in self.engines]
+            if self.hold_added and self.n_states > self.structure.linear_model.n_states:
+                theta = self.inside(np.pad(self.structure.start(), (0, self.size - self.n_theta)))
+                added = [added_states(engine, theta[: self.n_theta]) for engine in self.engines]
+                starts = [np.vstack(pair) for pair in zip(starts, added, strict=True)]
         return np.asarray(block_diag(np.eye(self.n_theta)[held] / self.prior_sd[held, None], *starts))
 
     @cached_property
