@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import control as ct
 import numpy as np
@@ -922,3 +923,18 @@ def test_a_candidate_that_is_true_keeps_its_name():
     assert monitor.alarm.effect.label == "stiffness at link1"
     assert monitor.alarm.probability > 0.95
     assert abs(monitor.alarm.coefficients["stiffness"] + 10.0) < 4.0 * monitor.alarm.std["stiffness"]
+
+
+@pytest.mark.parametrize("seed", [6003, pytest.param(6010, marks=pytest.mark.slow)])
+def test_each_candidate_has_its_own_sample_of_the_change(seed):
+    """Samples off, a mass or the neighboring spring fitted better than the spring that is softer."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+    from monitor import HEALTHY, changing_record
+
+    record = changing_record(seed, lambda periods: 1.0, loss=0.1)
+    monitor = rco.Monitor(record.plant.model, dt=record.plant.dt, hold="foh", learn=3000)
+    for k in range(0, HEALTHY + int(2 * record.period), 20):
+        monitor.update(record.w[:, k : k + 20], record.y[:, k : k + 20])
+    assert monitor.alarm.effect.label == f"stiffness at {record.place}"
+    assert abs(monitor.alarm.coefficients["stiffness"] - record.size) < 4.0 * monitor.alarm.std["stiffness"]
+    assert abs(monitor.alarm.since_sample - HEALTHY) < 0.5 * record.period
