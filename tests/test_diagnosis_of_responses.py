@@ -240,6 +240,28 @@ def test_answers_of_all_lines_are_those_of_one_sine_at_a_time(kind):
     )
 
 
+def test_a_constant_force_shifts_the_answers_of_all_lines():
+    """On a hardening spring it stiffens: as balanced one by one, and unlike without it."""
+    from rcorefine.data.response_record import ResponseRecord
+    from rcorefine.engine.amplitude_response import ResponseEngine
+    from rcorefine.engine.harmonic_balance import SineBalance
+    from rcorefine.engine.structure import Structure
+
+    one = rco.mass_spring_damper(1.0, 0.4, 100.0, sensors="displacement", outputs="q1")
+    effects = [effect("cubic_stiffness", "link1"), effect("constant_force", "mass1")]
+    structure, omega = Structure(one, effects), np.linspace(5.0, 16.0, 8)
+    found = {}
+    for force in (0.0, 20.0):
+        theta = np.array([400.0, force])
+        balance = SineBalance(structure, theta, 0, 15)
+        slow = np.array([balance.solve(w, 0.5, []).outputs[0, 1] / 0.5 for w in omega])
+        data = rco.FrequencyResponse(slow, omega, amplitude=0.5, input_labels="force", output_labels="q1")
+        engine = ResponseEngine(structure, ResponseRecord.plain(data, one.linear))
+        found[force] = engine.response(theta, derivatives=False)[0][0, 0]
+        np.testing.assert_allclose(found[force], slow, rtol=1e-5)
+    assert np.abs(found[20.0] - found[0.0]).max() > 0.1 * np.abs(found[0.0]).max()
+
+
 def dwell(peaks, omega, force, steps=120, periods=50):
     """Fundamental over the sine of a mass (1 kg, 0.6 N s/m, 100 N/m) by Runge and Kutta, (levels, lines)."""
     w, peak = np.tile(omega, len(peaks)), np.repeat(peaks, omega.size)

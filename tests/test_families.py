@@ -1,5 +1,7 @@
 """Nested laws: what contains what, and that the simplest one that does is named."""
 
+import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import control as ct
@@ -323,3 +325,36 @@ def test_every_estimate_that_carries_an_answer_is_printed(rng):
     for found in (rco.diagnose(model, data, candidates=laws), rco.improve(model, data, candidates=laws)):
         said = " ".join(str(found).split())
         assert "offset of -13.2 at speed" in said or "offset at speed 0 -> -13." in said
+
+
+def test_only_the_shapes_of_a_new_effect_are_open():
+    """Beside a clearance, whose gap has several starts, a sensor's gain has one, and one column."""
+    from rcorefine.inference.fitted import fitted_from
+    from rcorefine.inference.sensitivities import candidate_columns
+    from rcorefine.inference.starts import estimated_motion
+
+    model = rco.mass_spring_damper([1.0, 0.8], [0.3, 0.2], [100.0, 80.0], sensors=["displacement", 1])
+    rng = np.random.default_rng(3)
+    w = 30.0 * rng.standard_normal(600)
+    held, blank = rco.Effect("clearance", "link1"), rco.Measurement(w, np.zeros(600), dt=0.02)
+    engine = Engine(Structure(model, [held]), blank, substeps=8)
+    y = engine.run(np.array([60.0, 0.3]), sensitivity=False).outputs
+    data = rco.Measurement(w, y + 0.01 * y.std() * rng.standard_normal(y.shape), dt=0.02)
+    refined = rco.refine(model, data, [held])
+    fitted = fitted_from(refined, [data], tolerance=0.0)
+    motion = estimated_motion(fitted.structure, fitted.theta, fitted.problem.records[0])
+    beside = [rco.Effect("output_gain", "q1"), rco.Effect("clearance", "link2")]
+    gain, clearance = candidate_columns(fitted, beside, motion, (0.0,))
+    assert len(gain.starts) == gain.columns[0.0][0].shape[2] == 1
+    assert len(clearance.starts) > 1
+
+
+@pytest.mark.parametrize("seed", [7022, 7024])
+def test_a_maxwell_element_keeps_its_state(seed):
+    """A linear model of the order without it fits as well, but not with the kinematics of the masses."""
+    sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+    import calibration
+
+    row = calibration.run(seed)
+    assert row["missing"] == "maxwell"
+    assert (row["verdict"], row["named"], row["outcome"]) == ("effect", "maxwell_element", "right")

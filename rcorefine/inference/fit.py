@@ -76,18 +76,18 @@ class Fit:
         self,
         motion: Motion,
         substeps: int | None,
-        rival: Fit | None = None,
+        near: Fit | None = None,
         starts: Sequence[Array] = (),
     ) -> None:
         """Search, optimize and refine the substep until it no longer matters.
 
-        The search begins at `starts`, by default at the shapes of the laws. With `rival`, start from the
-        minimum of that fit instead of searching.
+        The search begins at `starts`, by default at the shapes of the laws. With `near`, it is left
+        out: the minimum of that fit is the start.
         """
-        if rival is not None:
-            self.steps = rival.steps
+        if near is not None:
+            self.steps = near.steps
             self.problem = self.build(self.segments, self.steps)
-            point = self.problem.pack(*rival.problem.unpack(rival.result.point))
+            point = self.problem.pack(*near.problem.unpack(near.result.point))
         else:
             self.steps = substeps or (1 if self.structure.is_linear else 3 - self.structure.stages)
             starts = starts or shape_starts(self.structure, self.structure.start(), motion)

@@ -171,7 +171,7 @@ def refine(
             ):
                 continue  # behind a linear model all offsets are the same
             fit = Fit(structure, [role for _, role in chosen], segments, noise, initial, tolerance)
-            fit.run(motion, substeps, rival=best)
+            fit.run(motion, substeps, near=best)
             if best is None or fit.cost < best.cost:
                 best = fit
         assert best is not None
