@@ -18,7 +18,7 @@ from rcorefine.diagnosis.search import Search
 from rcorefine.diagnosis.words import determined, numbers_that_moved
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
-from rcorefine.inference.refinement import EstimatedParameter
+from rcorefine.inference.parameters import EstimatedParameter
 from rcorefine.progress import Progress
 from rcorefine.refinement.refine import base_fit
 
@@ -259,3 +259,23 @@ def test_numbers_that_moved_far_may_stand_in_for_a_law():
     assert "stand in" not in numbers_that_moved([row(125.0, 1.0)])
     assert "stand in" not in numbers_that_moved([row(140.0, 5.0)])  # 40 +- 15 %: not for certain
     assert "The change of k is so large" in numbers_that_moved([row(40.0, 3.0)])
+
+
+def test_the_table_shows_what_was_known_before_the_record():
+    model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    rng = np.random.default_rng(3)
+    force, noise = rng.standard_normal((2, 400))
+    y = rco.simulate(model, rco.Measurement(force, noise, dt=0.02, input_labels="force"), "zero").outputs
+    data = rco.Measurement(force, y + 1e-3 * noise, dt=0.02, input_labels="force")
+    found = rco.refine(model, data, free=["k1"], tolerance=0.2, offset=False)
+    k = found.parameter("k1")
+    assert (k.expected, k.prior, k.lower, k.upper, k.weak) == (100.0, pytest.approx(20.0), 0.0, np.inf, False)
+    told = str(found)
+    assert "  prior" in told
+    assert "known about a value beforehand" in told
+    free = rco.refine(model, data, free=["k1", "c1"], offset=False)
+    assert all(row.weak for row in free.parameters)
+    assert "prior" not in str(free)
+    declared = rco.Effect("damping", "link1", prior={"damping": 0.5}, start={"damping": 0.1})
+    (row,) = rco.refine(model, data, [declared], offset=False).parameters
+    assert (row.expected, row.prior, row.weak) == (0.5, 0.5, False)

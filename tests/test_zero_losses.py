@@ -8,7 +8,7 @@ import pytest
 from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
-from rcorefine.inference.assembly import nominal_size
+from rcorefine.inference.parameters import nominal_size
 
 MASS, SPRING = [[0.0], [1.0]], {"states": ["x", "v"], "inputs": ["f"], "outputs": ["x"]}
 

@@ -19,11 +19,12 @@ from ..effects.effect import Effect, as_effects
 from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
 from ..exceptions import DataError
-from ..inference.assembly import check_settings, priors, windows
+from ..inference.assembly import check_settings, windows
 from ..inference.covariance import standard_deviations, wald
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel, coefficient_covariance, evaluated
 from ..inference.outcome import output_weights
+from ..inference.parameters import parameter_table, priors
 from ..inference.problem import Problem, descend
 from ..inference.refinement import Refinement
 from ..inference.search import starting_states, sufficient_steps
@@ -231,7 +232,7 @@ def _alone(
     """
     structure, theta, steps = model.simulation_structure()
     segments, _ = windows(model.physical_model, [record], None)
-    mean, sd = priors(structure, model.roles, tolerance)
+    mean, sd = priors(parameter_table(structure, model.roles, tolerance))
     weights = output_weights(segments, noise) if noise is not None else 1.0 / model.rmse
 
     def problem(pieces: Sequence[Measurement], steps: int, _unknown_start: bool = True) -> Problem:

@@ -14,7 +14,8 @@ from ..engine.point import resting, tangents
 from ..inference.covariance import covariance, standard_deviations
 from ..inference.f_tests import Basis, project
 from ..inference.fitted import FittedModel, coefficient_covariance, evaluated
-from ..inference.outcome import _rows, fit_of
+from ..inference.outcome import fit_of
+from ..inference.parameters import estimated, parameter_table
 from ..inference.problem import Descent, Problem
 from ..models.operating_point import sensed
 from ..models.physical_model import PhysicalModel
@@ -279,6 +280,7 @@ class Trial:
         C = scale * coefficient_covariance(problem, blocks, noise.whitener)
         theta, states = problem.unpack(self.point)
         roles = (*old.roles, *("effect",) * len(self.effects))
+        table = parameter_table(problem.structure, roles, self.base.tolerance)
         free = self.blocks if ratio == 0 else evaluated(problem, self.point)
         errors = [r / problem.weights[:, None] for r, _ in free]
         fit, rmse = fit_of(problem.records, errors)
@@ -289,7 +291,7 @@ class Trial:
             roles=roles,
             constants=dict(problem.structure.constants),
             theta=theta.copy(),
-            parameters=_rows(problem.structure, roles, theta, standard_deviations(C)),
+            parameters=estimated(table, theta, standard_deviations(C)),
             covariance=C,
             fit=fit,
             rmse=rmse,

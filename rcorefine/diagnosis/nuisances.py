@@ -11,9 +11,9 @@ from ..data import HOLDS
 from ..effects.bodies import Mass
 from ..effects.effect import Effect
 from ..exceptions import IdentifiabilityWarning, unheard
-from ..inference.assembly import nominal_size
 from ..inference.fitted import FittedModel, fitted_from
 from ..inference.levels import Levels
+from ..inference.parameters import nominal_size
 from ..inference.refinement import Refinement
 from ..models.library import effect_library
 from ..refinement.refine import base_fit, refine

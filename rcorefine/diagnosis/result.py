@@ -15,7 +15,8 @@ from ..effects.effect import Effect
 from ..exceptions import IdentifiabilityWarning, ModelError, unheard
 from ..inference.f_tests import FTest
 from ..inference.levels import levels
-from ..inference.refinement import EstimatedParameter, Refinement
+from ..inference.parameters import EstimatedParameter
+from ..inference.refinement import Refinement
 from ..results import Look, Options, Reported, ReportedModel, Row, picture, show, with_error
 from ..systems.linear import Array
 from .check_rows import CheckRow, Detectable

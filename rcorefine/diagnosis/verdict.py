@@ -14,7 +14,8 @@ from ..data.measurement import Measurement
 from ..effects.effect import Effect
 from ..inference.f_tests import project
 from ..inference.levels import Levels
-from ..inference.refinement import EstimatedParameter, Refinement
+from ..inference.parameters import EstimatedParameter
+from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns
 from .case import Case, not_held
 from .check_rows import Detectable

@@ -10,7 +10,8 @@ import numpy as np
 
 from ..effects.effect import Effect
 from ..inference.levels import levels
-from ..inference.refinement import EstimatedParameter, Refinement
+from ..inference.parameters import EstimatedParameter
+from ..inference.refinement import Refinement
 from ..results import chance, with_error
 from .residual_tests import overall
 

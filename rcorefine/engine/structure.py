@@ -59,13 +59,15 @@ class Kept:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One free coefficient: the effect that it belongs to and its name there."""
+    """One free coefficient: its effect, its name there, bounds and prior."""
 
     effect: int
     name: str
     label: str
     lower: float
     upper: float
+    mean: float = 0.0
+    sd: float = np.inf
 
 
 class Structure:
@@ -159,7 +161,9 @@ class Structure:
         self._position[index, name] = len(self.parameters)
         single = len(effect.coefficients) == 1
         label = effect.label if single else f"{name} of {effect.label}"
-        self.parameters.append(Parameter(index, name, label, low, high))
+        sd = effect.prior.get(name, np.inf)
+        mean = effect.start.get(name, 0.0) if name in effect.prior else 0.0
+        self.parameters.append(Parameter(index, name, label, low, high, mean, sd))
 
     # ------------------------------------------------------------------- values
     @property
@@ -178,6 +182,8 @@ class Structure:
 
     def unit(self, parameter: Parameter) -> str:
         """Unit of a coefficient, "" where unknown."""
+        if parameter.name not in self.effects[parameter.effect].coefficients:
+            return ""
         return self.model.unit(self.effects[parameter.effect], parameter.name)
 
     def position(self, index: int, name: str) -> int:

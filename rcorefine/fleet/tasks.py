@@ -10,7 +10,8 @@ from ..data.measurement import Measurement
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.improve import improve
 from ..effects.effect import Effect
-from ..inference.refinement import EstimatedParameter, Refinement
+from ..inference.parameters import EstimatedParameter
+from ..inference.refinement import Refinement
 from ..localization.localize import localize_damage
 from ..refinement.refine import refine
 from .comparison import Estimate

@@ -21,17 +21,15 @@ from ..effects.effect import Effect, as_effects
 from ..effects.law import KINDS
 from ..engine.controlled import as_it_runs, checked_horizon, free_runs, integrates
 from ..engine.observer import leading_ratio
-from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..models.conversion import as_physical
 from ..models.operating_point import ordered_record
-from ..models.parameters import independent_parameters, natural_size
+from ..models.parameters import independent_parameters
 from ..models.physical_model import PhysicalModel
-from ..systems.linear import Array, LinearModel
+from ..systems.linear import LinearModel
 from .refinement import Refinement
 
 _OFF = {"inputs": 1.0, "outputs": 10.0}  # sd of an offset over the rms of the signal: sensors are off by more
-_LOOSE = 30.0  # relative sd of a linear parameter that floats freely
 
 
 def unfold(model: Any) -> tuple[PhysicalModel, list[tuple[Effect, str]]]:
@@ -196,39 +194,6 @@ def _own_levels(linear: LinearModel) -> list[int]:
             span = more
             own.append(i)
     return own
-
-
-def priors(structure: Structure, roles: Sequence[str], tolerance: float) -> tuple[Array, Array]:
-    """Return the means and standard deviations of the Gaussian priors.
-
-    There is one prior for every coefficient; the standard deviation is inf where there is none.
-    """
-    mean = np.zeros(structure.n_parameters)
-    sd = np.full(structure.n_parameters, np.inf)
-    for i, parameter in enumerate(structure.parameters):
-        effect = structure.effects[parameter.effect]
-        if parameter.name in effect.prior:
-            sd[i] = effect.prior[parameter.name]
-            mean[i] = (effect.start or {}).get(parameter.name, 0.0)
-        elif roles[parameter.effect] == "linear":
-            size = nominal_size(structure, effect)
-            # a loose one only settles what the record cannot: scales that cancel stay near the model's
-            sd[i] = (tolerance or _LOOSE) * size if size > 0 else np.inf
-    return mean, sd
-
-
-def nominal_size(structure: Structure, effect: Effect) -> float:
-    """Return the size of the model parameter that an effect changes.
-
-    A parameter that is zero has the natural size of its place, such as the critical damping. The size is 0 if
-    the model has no such parameter.
-    """
-    if effect.spec.relative:
-        return 1.0
-    for q in structure.model.parameters:
-        if (q.kind, q.place) == (effect.kind, effect.place):
-            return abs(q.value) or natural_size(structure.model, q)
-    return structure.inertia(effect.place) if effect.spec.inertial else 0.0
 
 
 _LOOPED = "The model was fitted to predictions one sample ahead; compare and simulate run the closed loop."

@@ -15,8 +15,8 @@ from ..data.measurement import Measurement
 from ..engine.structure import Structure
 from ..exceptions import DataError
 from ..systems.linear import Array
-from .assembly import priors
 from .outcome import output_weights
+from .parameters import parameter_table, priors, weak_priors
 from .problem import Descent, Problem, descend
 from .search import search, starting_states, sufficient_steps
 from .starts import Motion, shape_starts
@@ -36,17 +36,10 @@ class Fit:
         initial: Array | None,
         tolerance: float,
     ) -> None:
-        self.structure, self.roles, self.segments, self.noise = structure, roles, segments, noise
+        self.structure, self.roles, self.segments, self.noise = structure, tuple(roles), segments, noise
         self.initial = None if initial is None else _resized(initial, structure.n_states)
-        self.mean, self.sd = priors(structure, roles, tolerance)
-        # a prior so wide that it only settles what the record cannot; no part of the error bars
-        self.loose = np.array(
-            [
-                roles[q.effect] == "linear" and tolerance == 0 and not structure.effects[q.effect].prior
-                for q in structure.parameters
-            ],
-            dtype=bool,
-        )
+        self.table = parameter_table(structure, roles, tolerance)
+        self.mean, self.sd = priors(self.table)
         self.weights = output_weights(segments, noise)
         self.steps = 1
         self.problem: Problem
@@ -133,7 +126,7 @@ class Fit:
             return
         self.weights = output_weights(self.segments, None, self.problem, self.result.point)
         self.problem = self.build(self.segments, self.steps)
-        if self.weights.size > 1 or np.isfinite(self.sd[~self.loose]).any():
+        if self.weights.size > 1 or np.isfinite(self.sd[~weak_priors(self.table)]).any():
             self._polish(self.result.point, _ROUGHLY)
 
     @property

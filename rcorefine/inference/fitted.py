@@ -18,9 +18,9 @@ from ..engine.structure import Structure
 from ..gauss_newton import Bordered
 from ..models.operating_point import ordered_record, sensed
 from ..systems.linear import Array
-from .assembly import priors
 from .covariance import covariance
 from .outcome import output_weights
+from .parameters import parameter_table, priors
 from .problem import Problem
 from .refinement import Refinement
 from .starts import Motion, law_widths
@@ -175,7 +175,7 @@ class FittedModel:
         widths.update(old.constants)
         structure = Structure(old.physical_model, base.effects, constants=widths)
         roles = [*old.roles, *("effect" for _ in effects)]
-        mean, sd = priors(structure, roles, self.tolerance)
+        mean, sd = priors(parameter_table(structure, roles, self.tolerance))
         problem = self.problem.like(structure, prior_mean=mean, prior_sd=sd, substeps=old.substeps)
         theta, starts = self.problem.unpack(self.point)
         full = np.concatenate([theta, structure.start()[theta.size :]])
@@ -229,7 +229,7 @@ def fitted_from(
     """
     structure, theta, steps = refinement.simulation_structure()
     records = [ordered_record(refinement.physical_model, r) for r in data]
-    mean, sd = priors(structure, refinement.roles, tolerance)
+    mean, sd = priors(parameter_table(structure, refinement.roles, tolerance))
     shape = refinement.rmse.shape
     given: dict[str, Any] = {"prior_mean": mean, "prior_sd": sd, "substeps": steps}
     if noise is not None:

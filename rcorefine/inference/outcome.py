@@ -19,8 +19,9 @@ from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .covariance import parameter_uncertainty, standard_deviations, unmoved, unseen_combinations
 from .doubts import stands_still
+from .parameters import estimated, weak_priors
 from .problem import Problem
-from .refinement import EstimatedParameter, Refinement
+from .refinement import Refinement
 
 _FLAT = 1e-9  # share of the cost: rounding, where the valley has led far away
 
@@ -46,19 +47,19 @@ def output_weights(
 
 def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     """The `Refinement` of a finished fit."""
-    structure, problem, result, roles = fit.structure, fit.problem, fit.result, fit.roles
+    structure, problem, result = fit.structure, fit.problem, fit.result
     point = _unmoved(problem, result.point)
     theta, starts = problem.unpack(point)
     residuals, slopes, columns = zip(*problem.own_blocks(point), strict=True)
     precision = problem.precision
-    precision[: problem.n_theta][fit.loose] = 0.0
+    precision[: problem.n_theta][weak_priors(fit.table)] = 0.0
     order = None if problem.in_time else 0
     unsure = parameter_uncertainty(residuals, slopes, precision, order, columns)
     p = structure.n_parameters
     covariance = unsure.covariance[:p, :p]
     spread = standard_deviations(covariance)
     names = [q.label for q in structure.parameters]
-    offsets = np.array([roles[q.effect] == "offset" for q in structure.parameters], dtype=bool)
+    offsets = np.array([row.role == "offset" for row in fit.table], dtype=bool)
     settled = np.isfinite(problem.prior_sd) & offsets
     found = tuple(unseen_combinations(unsure, theta, names, spread, settled))
     for sentence in found:
@@ -73,10 +74,10 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     return Refinement(
         physical_model=physical,
         effects=structure.effects,
-        roles=tuple(roles),
+        roles=fit.roles,
         constants=dict(structure.constants),
         theta=np.array(theta),
-        parameters=_rows(structure, roles, theta, spread),
+        parameters=estimated(fit.table, theta, spread),
         covariance=covariance,
         fit=fit_percent,
         rmse=rmse,
@@ -108,40 +109,6 @@ def _unmoved(problem: Problem, point: Array) -> Array:
     found = problem.inside(found)
     flat = problem.cost(found) <= problem.cost(point) * (1.0 + _FLAT)
     return found if flat else point
-
-
-def _rows(
-    structure: Structure, roles: Sequence[str], theta: Array, spread: Array
-) -> tuple[EstimatedParameter, ...]:
-    nominal = {(q.kind, q.place): q for q in structure.model.parameters}
-    rows = []
-    for i, parameter in enumerate(structure.parameters):
-        effect = structure.effects[parameter.effect]
-        known = nominal.get((effect.kind, effect.place))
-        role = roles[parameter.effect]
-        base, name = (known.value, known.name) if known is not None else (0.0, parameter.name)
-        if (
-            effect.spec.inertial
-            and known is None
-            and np.count_nonzero(structure.model.port(effect.place).velocity) == 1
-        ):
-            base, name = structure.inertia(effect.place), f"m[{effect.place}]"
-        if effect.spec.relative and known is None and role == "linear":
-            base, name = 1.0, f"gain[{effect.place}]"
-        rows.append(
-            EstimatedParameter(
-                name,
-                effect.kind,
-                effect.place,
-                base,
-                base + float(theta[i]),
-                float(theta[i]),
-                float(spread[i]),
-                structure.unit(parameter),
-                role,
-            )
-        )
-    return tuple(rows)
 
 
 def _fit(measured: Array, error: Array) -> Array:

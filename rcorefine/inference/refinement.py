@@ -20,52 +20,9 @@ from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..export.programs import CodeExports
 from ..models.physical_model import PhysicalModel
-from ..results import Options, ReportedModel, Row, estimate, picture, show
+from ..results import Options, ReportedModel, picture, show
 from ..systems.linear import Array
-
-
-@dataclass(frozen=True, slots=True)
-class EstimatedParameter(Row):
-    """One row of `Refinement.parameters`.
-
-    Attributes
-    ----------
-    name : str
-        Name of the physical parameter (``"k2"``) or of the effect's coefficient.
-    kind, place : str
-        Effect that it belongs to.
-    initial, value : float
-        Value in the initial model (0 for what was not there) and estimate, in `unit`.
-    coefficient : float
-        Coefficient of the effect: value minus initial.
-    std : float
-        Standard deviation of value and coefficient alike.
-    unit : str
-        Unit, "" where unknown.
-    role : str
-        "effect" (asked for), "linear" (parameter of the model) or "offset" (nuisance).
-    """
-
-    name: str
-    kind: str
-    place: str
-    initial: float
-    value: float
-    coefficient: float
-    std: float
-    unit: str
-    role: str
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval."""
-        return self.value - 1.96 * self.std, self.value + 1.96 * self.std
-
-    @property
-    def cells(self) -> list[str]:
-        """The row as text: name, effect, place, initial, value, std, unit."""
-        figures = (f"{self.initial:.5g}", *estimate(self.value, self.std))
-        return [self.name, self.kind if self.name != self.kind else "", self.place, *figures, self.unit]
+from .parameters import EstimatedParameter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +42,7 @@ class Refinement(ReportedModel, CodeExports):
     theta : ndarray, shape (p,)
         Coefficients in the order of `parameters`.
     parameters : tuple of EstimatedParameter
-        Rows: name, kind, place, initial, value, std, unit, role.
+        Rows: name, kind, place, initial, value, std, unit, role, prior, bounds.
     covariance : ndarray, shape (p, p)
         Covariance of `theta`, robust to coloured residuals.
     fit, rmse : ndarray, shape (n_y,)
@@ -418,6 +375,8 @@ class Refinement(ReportedModel, CodeExports):
             ),
             self.message,
         ]
+        if any(row.is_known for row in self.parameters):
+            lines.insert(2, "prior is the standard deviation of what is known about a value beforehand.")
         if self.hold is not None:
             lines.append(f"All inputs use hold={self.hold!r}, whatever a record declares.")
         # what an estimate means nothing for stands in its message

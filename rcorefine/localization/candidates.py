@@ -30,8 +30,6 @@ from .damage_map import HypothesisRow
 from .damping import RatioStructure
 from .estimate import Joint, best_fit
 
-_CHANGE = 1.0  # share of a value; of changes that fit alike, larger ones are less plausible
-
 
 @dataclass(frozen=True, slots=True)
 class DamageCandidate:
@@ -147,8 +145,8 @@ class SharedSetting:
 
     physical: PhysicalModel
     base: tuple[Effect, ...]
-    nuisances: tuple[Effect, ...]
-    nuisance_sd: tuple[float, ...]
+    nuisances: tuple[tuple[Effect, str], ...]
+    tolerance: float
     ratio: bool
     segments: tuple[Measurement, ...]
     noise: Any
@@ -158,7 +156,7 @@ class SharedSetting:
 
     def structure(self, effects: Sequence[Effect]) -> Structure:
         """Model with some effects and all nuisances."""
-        everything = [*effects, *self.nuisances, *self.base]
+        everything = [*effects, *(e for e, _ in self.nuisances), *self.base]
         made: type[Structure] = RatioStructure if self.ratio else Structure
         plain = made(self.physical, everything)
         return made(self.physical, everything, constants=law_widths(plain, self.motion))
@@ -166,25 +164,11 @@ class SharedSetting:
     def joint(self, effects: Sequence[Effect]) -> Joint:
         """Estimate some effects with all nuisances."""
         structure = self.structure(effects)
-        mean, sd = np.zeros(structure.n_parameters), np.full(structure.n_parameters, np.inf)
-        loose = np.zeros(structure.n_parameters, dtype=bool)
-        for i, parameter in enumerate(structure.parameters):
-            if parameter.effect < len(effects):
-                effect = effects[parameter.effect]
-                if parameter.name in effect.prior:
-                    sd[i], mean[i] = effect.prior[parameter.name], effect.start.get(parameter.name, 0.0)
-                elif size := abs(self.nominal.get((effect.kind, effect.place), 0.0)):
-                    sd[i], loose[i] = _CHANGE * size, True
-            elif parameter.effect < len(effects) + len(self.nuisances):
-                sd[i] = self.nuisance_sd[parameter.effect - len(effects)]
-        if isinstance(structure, RatioStructure):
-            mean[structure.ratio_columns[1]], sd[structure.ratio_columns[1]] = 0.5, 0.5
+        roles = ["change"] * len(effects) + [role for _, role in self.nuisances]
+        roles += ["effect"] * (len(structure.effects) - len(roles))
 
         def fit() -> Fit:
-            roles = ["effect"] * len(structure.effects)
-            found = Fit(structure, roles, self.segments, self.noise, self.initial, 0.0)
-            found.mean, found.sd, found.loose = mean, sd, loose
-            return found
+            return Fit(structure, roles, self.segments, self.noise, self.initial, self.tolerance)
 
         return Joint(best_fit(fit, self.motion))
 
@@ -257,12 +241,8 @@ def rank_hypotheses(setting: SharedSetting, hypotheses: Any) -> tuple[Hypothesis
     scenarios = named_hypotheses(hypotheses)
     # what a scenario blames is no nuisance, or "no damage" would explain it as well
     blamed = {(e.kind, e.place) for effects in scenarios.values() for e in effects}
-    rest = [
-        (e, sd)
-        for e, sd in zip(setting.nuisances, setting.nuisance_sd, strict=True)
-        if (e.kind, e.place) not in blamed
-    ]
-    setting = replace(setting, nuisances=tuple(e for e, _ in rest), nuisance_sd=tuple(sd for _, sd in rest))
+    rest = tuple((e, role) for e, role in setting.nuisances if (e.kind, e.place) not in blamed)
+    setting = replace(setting, nuisances=rest)
     rows = [_fitted(setting, name, effects) for name, effects in scenarios.items()]
     criterion = np.array([row.bic for row in rows])
     weight = np.exp(-0.5 * (criterion - criterion.min()))

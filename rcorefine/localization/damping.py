@@ -138,7 +138,7 @@ class RatioStructure(Structure):
         index = len(self.effects) - 1
         self.ratio_columns = (len(self.parameters), len(self.parameters) + 1)
         self.parameters.append(Parameter(index, "ratio", RATIO_NAMES[0], -0.999, np.inf))
-        self.parameters.append(Parameter(index, "follows", RATIO_NAMES[1], -2.0, 3.0))
+        self.parameters.append(Parameter(index, "follows", RATIO_NAMES[1], -2.0, 3.0, 0.5, 0.5))
 
     def start(self) -> Array:
         """Return the starting values, with the damping of the model.

@@ -24,6 +24,7 @@ from ..exceptions import DataError
 from ..inference.covariance import colored, covariance, pseudo_inverse, standard_deviations
 from ..inference.fit import Fit
 from ..inference.outcome import output_weights
+from ..inference.parameters import weak_priors
 from ..inference.problem import Problem, descend
 from ..inference.search import starting_states
 from ..inference.starts import Motion
@@ -246,7 +247,7 @@ class Joint:
     """
 
     def __init__(self, fit: Fit) -> None:
-        self.problem, self.noise, self.loose = fit.problem, fit.noise, fit.loose
+        self.problem, self.noise, self.weak = fit.problem, fit.noise, weak_priors(fit.table)
         self.point, self.converged = fit.result.point, fit.result.converged
         self._information: Information | None = None
 
@@ -343,7 +344,7 @@ class Joint:
         if self._information is None:
             residuals, slopes, columns = zip(*self.problem.own_blocks(self.point), strict=True)
             precision = self.problem.precision
-            precision[: self.loose.size][self.loose] = 0.0
+            precision[: self.weak.size][self.weak] = 0.0
             normal, middle = colored(residuals, slopes, precision, columns=columns)
             _, gradient = self.problem.evaluate(self.point).normal()
             self._information = Information(gradient, normal, middle)

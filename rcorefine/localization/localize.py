@@ -306,9 +306,9 @@ def localize_damage(
     with own_arithmetic():
         segments, note = windows(physical, records, horizon)
         motion = estimated_motion(Structure(physical, base), np.zeros(0), records[0])
-        nuisances, spreads = _nuisances(physical, base, effects, rule, nominal, tolerance, offset, records[0])
+        nuisances = _nuisances(physical, base, effects, rule, tolerance, offset, records[0])
         setting = SharedSetting(
-            physical, base, nuisances, spreads, rule == "ratio", tuple(segments),
+            physical, base, nuisances, tolerance, rule == "ratio", tuple(segments),
             noise, initial, motion, nominal,
         )  # fmt: skip
         joint = setting.joint(effects)
@@ -347,32 +347,25 @@ def _nuisances(
     base: Sequence[Effect],
     effects: Sequence[Effect],
     rule: str,
-    nominal: Mapping[tuple[str, str], float],
     tolerance: float,
     offset: bool,
     record: Measurement,
-) -> tuple[tuple[Effect, ...], tuple[float, ...]]:
-    """Return the nuisance effects and their prior standard deviations.
+) -> tuple[tuple[Effect, str], ...]:
+    """Return the nuisance effects and their roles.
 
     These are offsets, sensor gains and linear parameters, estimated together with the changes.
     """
     chosen = assemble(physical, [], effects, (), tolerance, offset_variants(physical, record, offset)[-1])
-    roles = [
+    nuisances = [
         (e, role)
         for e, role in chosen[len(effects) :]
         if not (role == "linear" and e.kind == Damping.name and rule == "ratio")
     ]
-    gains = [Effect(OutputGain.name, label) for label in physical.linear.output_labels]
-    roles += [(gain, "gain") for gain in gains if gain not in base]
-    return tuple(e for e, _ in roles), tuple(_spread(e, role, nominal, tolerance) for e, role in roles)
-
-
-def _spread(effect: Effect, role: str, nominal: Mapping[tuple[str, str], float], tolerance: float) -> float:
-    """Prior standard deviation of a nuisance."""
-    if role != "linear":
-        return _CALIBRATION if role == "gain" else np.inf
-    size = 1.0 if effect.spec.relative else abs(nominal.get((effect.kind, effect.place), 0.0))
-    return tolerance * size if size > 0 else np.inf
+    held = {(e.kind, e.place) for e in base}
+    for label in physical.linear.output_labels:
+        if (OutputGain.name, label) not in held:
+            nuisances.append((Effect(OutputGain.name, label, prior={"gain": _CALIBRATION}), "effect"))
+    return tuple(nuisances)
 
 
 class _Held(NamedTuple):

@@ -1,6 +1,7 @@
 """Batch estimation: effects, physical parameters, and how sure they are."""
 
-from ..inference.refinement import EstimatedParameter, Refinement
+from ..inference.parameters import EstimatedParameter
+from ..inference.refinement import Refinement
 from .refine import refine
 
 __all__ = ["EstimatedParameter", "Refinement", "refine"]

@@ -22,7 +22,8 @@ from ..engine.amplitude_response import AmplitudeResponse
 from ..exceptions import needed
 from ..fleet.result import Survey
 from ..inference.f_tests import FTest
-from ..inference.refinement import EstimatedParameter, Refinement
+from ..inference.parameters import EstimatedParameter
+from ..inference.refinement import Refinement
 from ..models.physical_model import PhysicalModel
 from ..results import Data, Result, Row, shows
 from ..streaming import RCORefiner
@@ -114,7 +115,7 @@ def _shown(kind: type, names: str) -> None:
 _shown(Failure, "role dimension where measure statistic p_value share sentence")
 _shown(FTest, "name statistic dof p_value")
 _shown(RankedEffect, "effect beside same coefficients std fit_before fit_after p_value probability")
-_shown(EstimatedParameter, "name kind place role initial value coefficient std unit")
+_shown(EstimatedParameter, "name kind place role initial prior value coefficient std lower upper unit")
 _shown(Step, "action effect coefficients std train_rmse choice_rmse validation_rmse rivals")
 
 

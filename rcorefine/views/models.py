@@ -15,7 +15,8 @@ from ..data.measurement import Measurement
 from ..diagnosis.check_rows import warned
 from ..diagnosis.result import Improvement, next_step
 from ..effects.effect import Effect
-from ..inference.refinement import EstimatedParameter, Refinement
+from ..inference.parameters import EstimatedParameter
+from ..inference.refinement import Refinement
 from ..models.physical_model import PhysicalModel
 from ..results import counted, shows, with_error
 from ..systems.linear import Array, LinearModel
@@ -112,9 +113,15 @@ def refinement_told(found: Refinement) -> Told:
 
 
 def estimates_table(parameters: Sequence[EstimatedParameter], title: str, notes: Sequence[str]) -> TextTable:
-    """Estimated numbers, initial and fitted."""
-    headers = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
-    return TextTable(headers, [row.cells for row in parameters], title, notes)
+    """Estimated numbers, initial and fitted, with the priors that count."""
+    headers, rows = ["parameter", "effect", "place", "initial", "value", "std", "unit"], []
+    known = any(row.is_known for row in parameters)
+    if known:
+        headers.insert(4, "prior")
+    for row in parameters:
+        prior = f"{row.prior:.3g}" if row.is_known else ""
+        rows.append([*row.cells[:4], *([prior] if known else []), *row.cells[4:]])
+    return TextTable(headers, rows, title, notes)
 
 
 @draws(Refinement, "bode_plot")

@@ -31,7 +31,8 @@ from ..arguments import as_flag, as_path, as_text
 from ..data.frequency_response import FrequencyResponse
 from ..data.response_record import in_frequency
 from ..exceptions import DataError
-from ..inference.refinement import EstimatedParameter, Refinement
+from ..inference.parameters import EstimatedParameter
+from ..inference.refinement import Refinement
 from ..jit import NUMBA
 from ..results import shows
 from ..systems.linear import Array

@@ -20,7 +20,8 @@ from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, Improvement
 from ..diagnosis.words import no_test_fires, numbers_that_moved
 from ..engine.simulation import simulated
-from ..inference.refinement import EstimatedParameter, Refinement
+from ..inference.parameters import EstimatedParameter
+from ..inference.refinement import Refinement
 from ..results import chance, counted, with_error
 from ..systems.linear import LinearModel
 from .code import (

@@ -159,9 +159,9 @@ class EffectsSetup(CoefficientSetup):
 
     def rows(self, theta: Array, spread: Array) -> tuple[Any, ...]:
         """Estimated parameters, one row each."""
-        from ...inference.outcome import _rows
+        from ...inference.parameters import estimated, parameter_table
 
-        return _rows(self.bare, ["effect"] * len(self.effects), theta, spread)
+        return estimated(parameter_table(self.bare, ["effect"] * len(self.effects)), theta, spread)
 
     @cached_property
     def model(self) -> LinearModel:  # type: ignore[override]
@@ -202,20 +202,13 @@ class EffectsSetup(CoefficientSetup):
     def nominal(self) -> Array:
         """Size of the physical parameter that each coefficient changes.
 
-        It is 0 where there is no such parameter.
+        It is 0 where there is no such parameter; one that is zero has the natural size of its place.
         """
+        from ...inference.parameters import nominal_size
+
         s = self.bare
-        known = {(q.kind, q.place): abs(q.value) for q in s.model.parameters}
-        found = []
-        for q in s.parameters:
-            effect = s.effects[q.effect]
-            size = known.get((effect.kind, effect.place), 0.0)
-            if effect.spec.inertial:
-                size = s.inertia(effect.place)
-            if effect.spec.relative:
-                size = 1.0
-            found.append(size if np.isfinite(size) else 0.0)
-        return np.array(found)
+        found = np.array([nominal_size(s, s.effects[q.effect]) for q in s.parameters])
+        return np.where(np.isfinite(found), found, 0.0)
 
     def structure(self, widths: Array) -> Structure:
         """Model with its effects and the widths of their laws."""

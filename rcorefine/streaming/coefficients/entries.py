@@ -118,7 +118,7 @@ class EntriesSetup(CoefficientSetup):
 
     def rows(self, theta: Array, spread: Array) -> tuple[Any, ...]:
         """Estimated parameters, one row each."""
-        from ...inference.refinement import EstimatedParameter
+        from ...inference.parameters import EstimatedParameter
 
         return tuple(
             EstimatedParameter(

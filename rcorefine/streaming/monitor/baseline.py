@@ -26,8 +26,8 @@ from ...engine.observer import observer_gain
 from ...engine.structure import Structure
 from ...exceptions import DataError
 from ...gauss_newton import Rows
-from ...inference.assembly import nominal_size
 from ...inference.covariance import standard_deviations
+from ...inference.parameters import nominal_size
 from ...inference.whitening import autoregression, innovations
 from ...models.library import effect_library
 from ...systems.linear import Array

@@ -22,8 +22,8 @@ from ...engine.engine import Engine
 from ...engine.initial_state import estimate_initial_state
 from ...engine.structure import Structure
 from ...exceptions import DataError
-from ...inference.assembly import nominal_size
 from ...inference.levels import levels
+from ...inference.parameters import nominal_size
 from ...results import Row
 from ...systems.linear import Array, LinearModel
 from ..samples import Block, as_size
