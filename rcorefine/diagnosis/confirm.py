@@ -6,7 +6,7 @@ They are best taken at another amplitude.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Unpack
 
 import control as ct
@@ -18,27 +18,24 @@ from ..data.records import amplitude, as_records
 from ..effects.effect import Effect, as_effects
 from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
-from ..exceptions import DataError
+from ..exceptions import DataError, IdentifiabilityWarning, unheard
 from ..inference.assembly import check_settings, windows
 from ..inference.covariance import standard_deviations, wald
 from ..inference.f_tests import FTest
-from ..inference.fitted import FittedModel, coefficient_covariance, evaluated
-from ..inference.outcome import output_weights
-from ..inference.parameters import parameter_table, priors
-from ..inference.problem import Problem, descend
+from ..inference.fitted import FittedModel, coefficient_covariance, evaluated, fitted_from
+from ..inference.problem import descend
 from ..inference.refinement import Refinement
-from ..inference.search import starting_states, sufficient_steps
 from ..inference.sensitivities import candidate_columns
 from ..inference.starts import Motion
 from ..models.library import effect_library
 from ..models.operating_point import ordered_record
+from ..refinement.refine import refit
 from ..results import Options, Result, Row, chance, picture, show
 from ..systems.linear import Array
 from .beside import Beside
 from .case import not_held
 from .residual_tests import TestedResidual, overall, run_tests
 
-_FINER = 5  # refinements of the substep at most
 _ROUNDS = 3  # descents, each under the whitening of the one before
 
 
@@ -230,34 +227,19 @@ def _alone(
 
     Return the fitted model and the covariance of its coefficients.
     """
-    structure, theta, steps = model.simulation_structure()
-    segments, _ = windows(model.physical_model, [record], None)
-    mean, sd = priors(parameter_table(structure, model.roles, tolerance))
-    weights = output_weights(segments, noise) if noise is not None else 1.0 / model.rmse
-
-    def problem(pieces: Sequence[Measurement], steps: int, _unknown_start: bool = True) -> Problem:
-        return Problem(structure, pieces, weights, prior_mean=mean, prior_sd=sd, substeps=steps)
-
-    made = problem(segments, steps)
-    point = made.pack(theta, starting_states(made, theta))
-    point = descend(made, point, evaluations=15, tolerance=1e-6).point
-    for _ in range(_FINER):  # a larger amplitude asks for finer substeps
-        if noise is None:
-            weights = output_weights(segments, None, made, point)
-        finer = sufficient_steps(problem, segments, problem(segments, made.substeps), point)
-        done = finer == made.substeps
-        made = problem(segments, finer)
-        if done:
-            break
-        point = descend(made, point, evaluations=15, tolerance=1e-6).point
-    gain = observer_gain(structure, theta, segments[0], ratio) if ratio > 0 else None
+    with unheard(IdentifiabilityWarning):
+        own = refit(model, [record], elsewhere=False, tolerance=tolerance, noise=noise)
+    fitted = fitted_from(
+        own, windows(own.physical_model, [record], None)[0], tolerance=tolerance, noise=noise
+    )
+    problem, point = fitted.problem, fitted.point
+    gain = observer_gain(fitted.structure, model.theta, problem.records[0], ratio) if ratio > 0 else None
     for _ in range(_ROUNDS):
-        whitener = made.whitener([r for r, _ in evaluated(made, point, gain)])
-        point = descend(made, point, gain=gain, whitener=whitener, evaluations=10, tolerance=1e-8).point
-    blocks = evaluated(made, point, gain)
-    whitener = made.whitener([r for r, _ in blocks])
-    C = coefficient_covariance(made, blocks, whitener)
-    fitted = FittedModel(replace(model, substeps=made.substeps), made, point, tolerance)
+        whitener = problem.whitener([r for r, _ in evaluated(problem, point, gain)])
+        point = descend(problem, point, gain=gain, whitener=whitener, evaluations=10, tolerance=1e-8).point
+    blocks = evaluated(problem, point, gain)
+    C = coefficient_covariance(problem, blocks, problem.whitener([r for r, _ in blocks]))
+    fitted = FittedModel(own, problem, point, tolerance)
     if gain is not None:
         fitted._gains[ratio] = gain
     return fitted, C
