@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from ...data.measurement import Measurement
 from ...diagnosis.hypothesis import unphysical
@@ -29,6 +30,7 @@ _EVALUATIONS = 20
 _LITTLE = 0.01  # twice the log-likelihood that a last step may still add
 _MOST_STARTS = 2
 _REACH = 8.0
+_LEFT = 1e-3  # chance that the noise alone leaves more
 _HUGE = 1e100  # errors and slopes beyond which the model has blown up
 
 
@@ -135,6 +137,11 @@ class CandidateFit:
     def std(self) -> Array:
         """Standard deviations, shape (p,)."""
         return standard_deviations(self.covariance)
+
+    @property
+    def reaches_noise(self) -> bool:
+        """Return whether no more is left than independent noise."""
+        return self.cost < float(chi2.isf(_LEFT, max(self.points, 1)))
 
     def possible(self, healthy: Structure) -> bool:
         """Return whether a friction that the model lacks resists the motion."""

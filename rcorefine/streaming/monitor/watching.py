@@ -292,11 +292,7 @@ def fit_all(
 
     contest = _Contest(stream, mean, latest, window, estimates)
     scored = contest.fits_from(since, chosen, before)
-    # a strong change bends the linear scores: all laws at the places that lead
-    leading = {fit.effect.place for fit, _ in scored[:_PLACES] if fit.effect is not None}
-    others = [i for i in range(len(effects)) if effects[i].place in leading and i not in chosen]
-    if others:
-        scored = _best_first([*scored, *contest.fits_from(since, others, before)])
+    scored = contest.wider(scored, since, chosen, before)
     if scored and latest is not None:
         scored, since = contest.moved(scored, since, latest)
     if not scored:
@@ -369,6 +365,27 @@ class _Contest:
             if math.isfinite(fit.cost):
                 found.append((fit, 0.5 * (nothing.cost - fit.cost)))
         return _best_first(found)
+
+    def wider(
+        self,
+        scored: list[tuple[CandidateFit, float]],
+        start: int,
+        chosen: Sequence[int],
+        known: Mapping[Effect, Array],
+    ) -> list[tuple[CandidateFit, float]]:
+        """Fit more candidates, as a strong change bends the linear scores.
+
+        Where more than noise is left, these are the elements at all places; then all laws at the
+        places that lead.
+        """
+        effects, tried = self.stream.bank.candidates, set(chosen)
+        if scored and not scored[0][0].reaches_noise:
+            worn = [i for i, effect in enumerate(effects) if effect.spec.may_wear and i not in tried]
+            scored = _best_first([*scored, *self.fits_from(start, worn, known)])
+            tried.update(worn)
+        leading = {fit.effect.place for fit, _ in scored[:_PLACES] if fit.effect is not None}
+        others = [i for i, effect in enumerate(effects) if effect.place in leading and i not in tried]
+        return _best_first([*scored, *self.fits_from(start, others, known)]) if others else scored
 
     def moved(
         self, scored: list[tuple[CandidateFit, float]], since: int, latest: int
