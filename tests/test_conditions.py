@@ -79,7 +79,7 @@ def test_check_compares_the_users_own_effects_with_what_the_record_shows(taught)
 
 
 def test_what_check_calls_the_smallest_size_is_shown_by_nineteen_records_of_twenty():
-    """A record with that friction is not called adequate; at most 4 misses of 20 (binomial, p = 0.002)."""
+    """A test finds it, even if it does not matter; at most 4 misses of 20 (binomial, p = 0.002)."""
     clean = record(1.0, 0, force=0.0)
     row = next(
         row for row in rco.check(MOTOR, clean, effects=[FRICTION]).rows if row.figure.startswith("coulomb")
@@ -90,7 +90,8 @@ def test_what_check_calls_the_smallest_size_is_shown_by_nineteen_records_of_twen
     seen = 0
     for seed in range(20):
         data = record(1.0, 100 + seed, force=least / per_unit)
-        seen += rco.diagnose(MOTOR, data, candidates=[FRICTION]).verdict != "adequate"
+        found = rco.diagnose(MOTOR, data, candidates=[FRICTION])
+        seen += found.verdict != "adequate" or np.isfinite(found.adequate_to)
     assert seen >= 16
 
 

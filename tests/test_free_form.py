@@ -222,7 +222,10 @@ def test_where_nothing_passes_the_smallest_error_stands_first():
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # two offsets are hardly told apart
             alone = rco.refine(found.base, records[0], [row.effect])
-        assert row.fit_after == pytest.approx(alone.fit[0], abs=0.3)
+        if any(one.role == "linear" for one in row.refinement.parameters):  # parameters re-estimated, too
+            assert row.fit_after > alone.fit[0] - 0.3
+        else:
+            assert row.fit_after == pytest.approx(alone.fit[0], abs=0.3)
 
 
 def test_what_lies_beyond_the_table_is_said():

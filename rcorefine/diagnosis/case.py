@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import control as ct
@@ -90,8 +90,11 @@ class Case:
         effort: float = 1.0,
     ) -> None:
         self.effort = effort
-        self.base, self.records, self.settings = base, tuple(records), settings
-        self.significance, self.progress, self.levels = significance, progress, levels()
+        self.base, self.records = base, tuple(records)
+        self.significance, self.progress = significance, progress
+        known = levels()
+        self.settings = {"matters": known.matters} | settings
+        self.levels = replace(known, matters=self.settings["matters"])
         physical = base.physical_model
         self.ordered = ordered = [ordered_record(physical, r) for r in records]
         least = _FEWEST if in_frequency(ordered) else SHORTEST
@@ -311,7 +314,8 @@ def no_motion(records: Sequence[Measurement]) -> str:
 def not_excited(base: Refinement, records: Sequence[Measurement]) -> str:
     """Return a message if nothing was excited, or an empty string.
 
-    It is empty where an input moves or the outputs settle as the model does.
+    It is empty where an input moves, the outputs settle as the model does, or the record is a free decay:
+    the simulation of a wrong model gets out of step with an oscillation and explains nothing of it.
 
     Parameters
     ----------
@@ -324,7 +328,7 @@ def not_excited(base: Refinement, records: Sequence[Measurement]) -> str:
     -------
     str
     """
-    if not at_rest(records):
+    if not at_rest(records) or all(record.n_inputs == 0 for record in records):
         return ""
     samples = sum(record.n_samples for record in records)
     if not explains_nothing(base.fit, samples, base.theta.size + base.initial_states.size):

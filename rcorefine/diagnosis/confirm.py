@@ -20,9 +20,10 @@ from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
 from ..exceptions import DataError, IdentifiabilityWarning, unheard
 from ..inference.assembly import check_settings, windows
-from ..inference.covariance import standard_deviations, wald
+from ..inference.covariance import pseudo_inverse, standard_deviations, wald
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel, coefficient_covariance, evaluated, fitted_from
+from ..inference.levels import levels
 from ..inference.problem import descend
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import candidate_columns
@@ -34,6 +35,7 @@ from ..results import Options, Result, Row, chance, picture, show
 from ..systems.linear import Array
 from .beside import Beside
 from .case import not_held
+from .error_shares import error_shares, in_percent
 from .residual_tests import TestedResidual, overall, run_tests
 
 _ROUNDS = 3  # descents, each under the whitening of the one before
@@ -48,6 +50,7 @@ def confirm(
     noise: float | Sequence[float] | None = None,
     force_ratio: float = 0.0,
     significance: float = 0.005,
+    matters: float | None = None,
     scales_with: Mapping[str, str | Sequence[float]] | None = None,
 ) -> Confirmation:
     """Test a refined model on further records.
@@ -73,6 +76,9 @@ def confirm(
         `Diagnosis.force_ratio` says it; taken to be as large in the other records.
     significance : float
         Level below which the effects are refuted.
+    matters : float, optional
+        As in `diagnose`: share of the spread of an output, default .01. What a test finds does not refute the
+        effects if the error of the model, or what the coefficients of the first record change, is smaller.
     scales_with : mapping, optional
         Effects whose size changes in proportion to a condition, by ``"kind@place"``: a number per record, or
         the name of a signal of the records (its mean counts). For example
@@ -116,6 +122,7 @@ def confirm(
         raise ct.ControlArgument(f"model must be a Refinement, not {type(model).__name__}; call refine first")
     force_ratio = as_number(force_ratio, "force_ratio", least=0.0)
     significance = as_share(significance, "significance")
+    matters = levels().matters if matters is None else as_number(matters, "matters", least=0.0)
     check_settings(model.physical_model, tolerance=tolerance, noise=noise)
     records = as_records(data)
     if len(records) < 2:
@@ -135,18 +142,45 @@ def confirm(
         fitted, whole = _alone(model, record, tolerance, noise, ratio)
         theta, C = fitted.theta[own], whole[np.ix_(own, own)]
         fits.append((theta, C))
-        agreement = wald(theta - f * fits[0][0], f[:, None] * fits[0][1] * f + C) if i else 1.0
-        tests = tuple(_tested(fitted, rest, ratio))
+        off = theta - f * fits[0][0]
+        agreement = wald(off, f[:, None] * fits[0][1] * f + C) if i else 1.0
+        tested = TestedResidual(fitted, ratio)
+        tests = tuple(_tested(tested, rest))
+        left = error_shares(tested, tests, significance)
         name = records[i].name if several else f"record {i + 1}"
         figures = (theta, standard_deviations(C), agreement, tests, overall(tests), f)
-        estimates.append(RecordEstimate(name, sizes[i] / sizes[0], *figures))
-    p_value = min(1.0, len(estimates[1:]) * min(min(e.agreement, e.residual) for e in estimates[1:]))
+        sizes_left = _changes(tested, off, C), max((one.model for one in left), default=np.inf)
+        estimates.append(RecordEstimate(name, sizes[i] / sizes[0], *figures, *sizes_left))
+    further = estimates[1:]
+    p_value = min(1.0, len(further) * min(min(e.agreement, e.residual) for e in further))
     rows = [model.parameters[i] for i in own]
     names, units = tuple(row.name for row in rows), tuple(row.unit for row in rows)
-    verdict = "confirmed" if p_value >= significance else "refuted"
+    refuted = any(_refutes(e, significance / len(further), matters) for e in further)
+    verdict = "refuted" if refuted else "confirmed"
     labels = list(dict.fromkeys(f"{row.kind} at {row.place}" for row in rows))
-    message = _message(verdict, labels, estimates, p_value, significance, scales_with)
+    message = _message(verdict, labels, estimates, p_value, significance, matters, scales_with)
     return Confirmation(verdict, p_value, names, units, tuple(estimates), significance, message, conditions)
+
+
+def _refutes(e: RecordEstimate, level: float, matters: float) -> bool:
+    """Return whether a test fails and what it finds matters."""
+    other = e.agreement < level and e.change > matters
+    return other or (e.residual < level and e.error > matters)
+
+
+def _changes(tested: TestedResidual, off: Array, C: Array) -> float:
+    """Return the largest share of an output that other coefficients change.
+
+    All else is estimated with them: the sum of squares of the innovations rises by ``off' C^-1 off``.
+    """
+    known = np.isfinite(np.diag(C))
+    if not known.any() or not off.any():
+        return 0.0
+    rise = float(off[known] @ pseudo_inverse(C[np.ix_(known, known)])[0] @ off[known])
+    problem = tested.fitted.problem
+    spread = np.hstack([record.outputs for record in problem.records]).std(axis=1)
+    sizes = tested.whitener.scales / problem.weights / np.where(spread > 0, spread, np.inf)
+    return float(sizes.max() * np.sqrt(rise / max(tested.residual.size, 1)))
 
 
 def _conditions(
@@ -199,9 +233,10 @@ def _message(
     estimates: Sequence[RecordEstimate],
     p_value: float,
     level: float,
+    matters: float,
     scaled: Mapping[str, Any] | None,
 ) -> str:
-    first, *further = estimates
+    further = estimates[1:]
     ways = {
         key.replace("@", " at ", 1): f" in proportion to {by if isinstance(by, str) else 'the condition'}"
         for key, by in (scaled or {}).items()
@@ -210,14 +245,30 @@ def _message(
     if verdict == "confirmed":
         other = any(abs(np.log(e.level)) > 0.25 for e in further)
         caution = "" if other else " The amplitudes are similar, so a similar effect could pass, too."
-        return f"The same {what} explains every record ({chance(p_value, 'p')}).{caution}"
-    worst = min(further, key=lambda e: min(e.agreement, e.residual))
-    why = "other coefficients" if worst.agreement <= worst.residual else "something more"
-    what = what if labels else f"The {what}"
-    verdict = f"{what} is refuted: {worst.name} needs {why} ({chance(p_value, 'p')})."
+        if p_value >= level:
+            return f"The same {what} explains every record ({chance(p_value, 'p')}).{caution}"
+        left = in_percent(max(max(e.change, e.error) for e in further))
+        return (
+            f"The same {what} explains every record to {left} of the motion; the tests find an error "
+            f"({chance(p_value, 'p')}), but less than what matters ({in_percent(matters)}).{caution}"
+        )
+    return _against(what if labels else f"The {what}", bool(labels), estimates, p_value, level, matters)
+
+
+def _against(
+    what: str, added: bool, estimates: Sequence[RecordEstimate], p_value: float, level: float, matters: float
+) -> str:
+    """Return what refutes a model."""
+    first, *further = estimates
+    against = [e for e in further if _refutes(e, level / len(further), matters)]
+    worst = min(against, key=lambda e: min(e.agreement, e.residual))
+    other = worst.agreement <= worst.residual
+    why, size = ("other coefficients", worst.change) if other else ("something more", worst.error)
+    much = f", {in_percent(size)} of the motion" if np.isfinite(size) else ""
+    verdict = f"{what} is refuted: {worst.name} needs {why} ({chance(p_value, 'p')}{much})."
     if first.residual < level:
         return f"{verdict} It does not explain the first record either ({chance(first.residual, 'p')})."
-    return f"{verdict} It only mimics what is missing." if labels else verdict
+    return f"{verdict} It only mimics what is missing." if added else verdict
 
 
 def _alone(
@@ -245,10 +296,10 @@ def _alone(
     return fitted, C
 
 
-def _tested(fitted: FittedModel, rest: Sequence[Effect], ratio: float) -> list[FTest]:
+def _tested(tested: TestedResidual, rest: Sequence[Effect]) -> list[FTest]:
+    fitted, ratio = tested.fitted, tested.ratio
     motions = [Motion(fitted.structure, fitted.theta, record) for record in fitted.problem.records]
     scored = candidate_columns(fitted, rest, motions[0], (ratio,))
-    tested = TestedResidual(fitted, ratio)
     roles = fitted.refinement.roles
     places = [e.place for e, role in zip(fitted.structure.effects, roles, strict=True) if role == "effect"]
     # none of these: a law that only mimics leaves a force of its own behind
@@ -276,6 +327,10 @@ class RecordEstimate(Row):
         p-value of all of them together.
     factors : ndarray, shape (p,)
         Ratio of each coefficient to that of the first record if the law is the same; 1 without a condition.
+    change : float
+        What the coefficients of the first record change of an output, as a share of its spread.
+    error : float
+        At most this share of the spread of an output is an error of the model.
     """
 
     name: str
@@ -286,6 +341,8 @@ class RecordEstimate(Row):
     tests: tuple[FTest, ...]
     residual: float
     factors: Array
+    change: float = 0.0
+    error: float = np.inf
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,14 +14,12 @@ from ..data.measurement import Measurement
 from ..data.records import amplitude
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect, as_effects
-from ..engine.controlled import integrates
 from ..exceptions import IdentifiabilityWarning, own_arithmetic, unheard
 from ..inference.assembly import (
     about_noise,
     as_data,
     check_settings,
     check_validation,
-    offsets_everywhere,
     spread_lines,
 )
 from ..inference.covariance import wald
@@ -31,21 +29,22 @@ from ..inference.problem import descend
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import candidate_columns
 from ..models.conversion import as_physical, under_control
-from ..models.operating_point import ordered_record
 from ..progress import Progress
-from ..refinement.refine import base_fit, refit
+from ..refinement.refine import base_fit
 from ..results import chance, with_error
 from ..systems.linear import Array
 from .case import Case, no_motion, not_excited, not_tried
 from .check import looks
 from .dead_sensors import without_dead_sensors
+from .error_shares import error_shares
 from .hypothesis import Trial
+from .improve import by_smaller_motion
 from .noise import is_drowned, left_to_noise
-from .nuisances import Hold, Nuisance, with_fitting_priors
-from .open_law import FreeForces, SingleFits, open_law
+from .nuisances import Hold, about_hold, with_fitting_priors, with_offsets
+from .open_law import open_force
 from .result import Diagnosis
 from .search import Search, is_gain
-from .verdict import Answer, TableRow, answer, detectable, ranking, table, undetermined
+from .verdict import Answer, TableRow, answer, close_enough, detectable, ranking, table, undetermined
 from .words import determined, numbers_that_moved, percent
 
 _OTHER_AMPLITUDE = 1.3  # amplitude over that of another record
@@ -134,6 +133,7 @@ def diagnose(
     noise: float | Sequence[float] | None = None,
     horizon: float | None = None,
     significance: float = 0.01,
+    matters: float | None = None,
     effort: float = 1.0,
     controller: ct.StateSpace | None = None,
     executor: Any = None,
@@ -167,6 +167,9 @@ def diagnose(
         or tied; with tolerance 0.05, 3 of 5.
     significance : float
         Significance level of all residual tests together: the false-alarm rate if nothing is missing.
+    matters : float, optional
+        Share of the spread of an output, default .01 (``rcorefine.matters``). An error of the model below it,
+        or below the rounding step of the sensor, does not matter even if a test finds it.
     effort : float
         Number of refits of the search, in units of 120. If they are spent and the verdict is "unexplained",
         the notes say what was not tried.
@@ -225,6 +228,7 @@ def diagnose(
     """
     significance = as_share(significance, "significance")
     effort = as_number(effort, "effort", least=0.0)
+    matters = levels().matters if matters is None else as_number(matters, "matters", least=0.0)
     given = as_data(data, horizon=horizon, noise=noise, controller=controller)
     model = seen = under_control(model, controller, data)
     candidates = None if candidates is None else as_effects(candidates, "candidates")
@@ -248,8 +252,12 @@ def diagnose(
             base = base_fit(model, records, **options)
         with steps.step("what is odd"):
             odd = () if in_frequency(records) else looks(seen, given, horizon)
-        asked = options | {"candidates": None if candidates is None else tuple(candidates)}
-        found = _ask_twice(Case(base, records, candidates, asked, significance, steps, effort), validation)
+        asked = options | {
+            "candidates": None if candidates is None else tuple(candidates),
+            "matters": matters,
+        }
+        case = Case(base, records, candidates, asked, significance, steps, effort)
+        found = by_smaller_motion(_ask_twice(case, validation), case, model)
         said = about_noise(base.physical_model, records, live)
         return replace(found, checks=odd, records=tuple(live), notes=(*silent, *found.notes, *said))
 
@@ -288,27 +296,6 @@ _SETTLED = 10.0  # log evidence below the answer, within which coefficients get 
 _MATTERS = 0.2  # share of `Levels.off`: a smaller change may only compensate a wrong force law
 
 
-def with_offsets(base: Refinement, records: Sequence[Measurement], options: dict[str, Any]) -> Refinement:
-    """Return the model refitted with an offset at every input and output.
-
-    A linear model cannot distinguish an offset of a sensor from an offset of an input or an initial state. A
-    nonlinear effect depends on the zero of its signal and is not recognized at a wrong zero. The model is
-    returned unchanged if it has no offset, if it integrates, or if the means of the outputs are small. The
-    same holds for frequency responses.
-    """
-    if "offset" not in base.roles:
-        return base
-    ordered = [ordered_record(base.physical_model, record) for record in records]
-    if in_frequency(ordered) or integrates(base.physical_model.linear, ordered[0]):
-        return base
-    y = np.concatenate([record.outputs for record in ordered], axis=1)
-    if not np.any(np.abs(y.mean(axis=1)) > levels().zero * y.std(axis=1)):
-        return base  # so small an offset does not hide an effect
-    everywhere = offsets_everywhere(base.physical_model, ordered)
-    given = {name: options[name] for name in ("tolerance", "offset", "noise", "horizon")}
-    return refit(base, records, offsets=everywhere, elsewhere=False, **given)
-
-
 def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
     """Diagnose a case.
 
@@ -323,7 +310,7 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
     -------
     Diagnosis
     """
-    still = case.in_time and (no_motion(case.ordered) or not_excited(case.base, case.ordered))
+    still = case.in_time and (no_motion(case.ordered) or not_excited(case.base, case.records))
     if still:  # nothing moves in the records
         about = case.about | {"ambiguous": tuple(case.library), "notes": (still,)}
         return Diagnosis("ambiguous", **about)
@@ -352,6 +339,8 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
 
     rows = table(search)
     found = answer(search, rows, passed)
+    if found.verdict == "unexplained":
+        found = close_enough(search, rows, found)
     said = [sentence for _, sentence in [agreements.get(found.trial, (1.0, ""))] if sentence]
     if found.verdict in ("effect", "ambiguous"):
         near = [row for row in rows if row.effects and row.value > found.row.value - _SETTLED]
@@ -382,8 +371,11 @@ def _told(
     case, trial, word = search.case, found.trial, found.verdict
     held, nothing = trial.hypothesis, search.trials[0]
     about = case.about | {"force_ratio": held.ratio}
+    own = search.tests(trial)
+    about["error_shares"] = () if held.ratio else error_shares(trial.tested, own, case.significance)
+    if word != "unexplained" and np.isnan(found.probability):  # it fails the tests, by too little to matter
+        about["adequate_to"] = max(one.model for one in about["error_shares"])
     notes = [*about_hold(trial, search), *said]
-    own = tuple(search.criticized(trial).tests)
     left = left_to_noise(trial.tested, case.levels) if word in ("adequate", "parameters") else ""
     if word == "adequate":
         scored = candidate_columns(trial.model, case.library, case.motions[0], (held.ratio,))
@@ -392,7 +384,7 @@ def _told(
             about["base"] = trial.model.refinement
         about |= {"tests": own, "detectable": shown, "left_to_noise": left, "notes": tuple(notes)}
         return Diagnosis(word, **about)
-    about["tests"] = tuple(search.criticized(nothing).tests or search.all_tests(nothing))
+    about["tests"] = search.tests(nothing)
     holds = frozenset(one for one in held.nuisances if isinstance(one, Hold))
     if holds:
         about["base"] = search.base(holds).refinement
@@ -413,6 +405,8 @@ def _told(
         notes.append(_beside_parameters(trial, word))
     notes += [*remarks(trial.model, trial.effects), *_denied(search, trial)]
     listed = _listed(search, rows, found, about["base"])
+    if word == "unexplained" and not listed[0].hypothesis.ratio:
+        about["error_shares"] = error_shares(listed[0].tested, search.tests(listed[0]), case.significance)
     tied = [set(row.effects) for row in (found.row, *found.ties)]
     alike = [word != "unexplained" and set(one.effects) in tied for one in listed]
     names = {frozenset(row.effects): row.same for row in rows}
@@ -420,8 +414,7 @@ def _told(
     ranked = ranking(listed, _shares(rows, found, listed), alike, same, nothing.total, case, validation)
     named = [e for row in ranked if row.alike for one in (row, *row.same) for e in one.effects]
     others = [e for e in named if e not in trial.effects]
-    winner = own or tuple(search.all_tests(trial))
-    about |= {"ranking": ranked, "winner_tests": winner, "notes": tuple(notes)}
+    about |= {"ranking": ranked, "winner_tests": own, "notes": tuple(notes)}
     about["ambiguous"] = tuple(dict.fromkeys([ranked[0].effect, *others]))
     return Diagnosis(
         word,
@@ -429,20 +422,8 @@ def _told(
         none_of_these=found.none,
         places=_places(rows, found, law, case.in_time),
         open_law=None if law is None else law.law,
-        left_to_noise="" if winner else left_to_noise(nothing.tested, case.levels),
+        left_to_noise="" if own else left_to_noise(nothing.tested, case.levels),
     )
-
-
-def about_hold(trial: Trial, search: Search) -> list[str]:
-    """Return notes on another hold that fits better than the declared one."""
-    model, records = search.case.base.physical_model, search.case.records
-    said = "the record declares" if model.hold is None else "the model was fitted with"
-    return [
-        f"The hold matters more than most effects: {said} hold={model.hold or records[0].hold!r}, "
-        f"hold={one.hold!r} fits better."
-        for one in trial.hypothesis.nuisances
-        if isinstance(one, Hold)
-    ]
 
 
 def _beside_parameters(trial: Trial, word: str) -> str:
@@ -523,32 +504,6 @@ def _shares(rows: Sequence[TableRow], found: Answer, listed: Sequence[Trial]) ->
     }
     of_set[frozenset(found.row.effects)] = found.probability
     return [of_set.get(frozenset(trial.effects), 0.0) for trial in listed]
-
-
-def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
-    """Return free forces for an unexplained record, and their base model.
-
-    The base is the model as given, unless its re-estimated parameters alone fit better than any free force or
-    single effect. The forces are None if no single candidate effect was fitted at the chosen base.
-    """
-    empty = {trial.hypothesis.key: trial for trial in search.trials if not trial.effects}
-    for nuisances in dict.fromkeys((frozenset[Nuisance](), search.opened)):
-        base = search.base(nuisances)
-        offered = [
-            x for x in search.ranked() if x.base is base and set(x.effects) <= set(search.case.library)
-        ]
-        alone = [x for x in offered if len(x.effects) == 1]
-        if not alone:
-            continue
-        whitener = base.problem.whitener([r for r, _ in alone[0].blocks])
-        free = open_law(SingleFits(base, alone, whitener))
-        opened = empty.get((frozenset(), search.opened))
-        after = max(
-            free.law.fit_after if free.law else 0.0, *(float(np.mean(x.model.refinement.fit)) for x in alone)
-        )
-        if opened is None or nuisances or after >= float(np.mean(opened.model.refinement.fit)):
-            return free, base
-    return None, search.base(search.opened)
 
 
 def _places(rows: Sequence[TableRow], found: Answer, free: Any, in_time: bool) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from ..arguments import as_number, as_share, as_whole
 from ..comparison.compare import compare
 from ..data.channels import match_channels, record_for
 from ..data.measurement import Measurement
+from ..data.records import at_rest
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect, as_effects
 from ..engine.amplitude_response import engine_on
@@ -26,8 +27,10 @@ from ..exceptions import (
     unheard,
 )
 from ..inference.assembly import as_data, check_settings, check_validation
+from ..inference.f_tests import FTest
 from ..inference.levels import levels
 from ..inference.refinement import Refinement
+from ..inference.whitening import Whitener
 from ..models.conversion import as_physical, under_control
 from ..models.operating_point import ordered_record
 from ..progress import Progress
@@ -45,14 +48,16 @@ from .case import (
     split_in_parts,
 )
 from .check import looks
-from .diagnose import about_hold, open_force, with_offsets
+from .error_shares import ErrorShare, error_shares_of, found_share, in_percent, matter
 from .hypothesis import Trial
 from .noise import left_to_noise
-from .nuisances import Nuisance
-from .result import Improvement, Step
+from .nuisances import Nuisance, about_hold, with_offsets
+from .open_law import open_force
+from .result import Diagnosis, Improvement, RankedEffect, Step
 from .search import Search
-from .verdict import estimates, special, table, undetermined
+from .verdict import close_models, estimates, special, table, undetermined
 
+_MOST = 4  # effects that a diagnosis adds to a decay
 _JUDGED, _SETTLED = 30, 10  # sets compared by the error on the second part; most sets refitted of them
 
 
@@ -69,6 +74,7 @@ def improve(
     noise: float | Sequence[float] | None = None,
     horizon: float | None = None,
     significance: float = 0.01,
+    matters: float | None = None,
     effort: float = 1.0,
     controller: ct.StateSpace | None = None,
     executor: Any = None,
@@ -100,6 +106,9 @@ def improve(
         As in `refine`.
     significance : float
         Significance level of the residual tests, as in `diagnose`.
+    matters : float, optional
+        Share of the spread of an output, default .01 (``rcorefine.matters``). An error of the model below it,
+        or below the rounding step of the sensor, does not matter even if a test finds it.
     effort : float
         Number of refits of each search, in units of 120, as in `diagnose`.
     controller : StateSpace or TransferFunction, optional
@@ -162,6 +171,7 @@ def improve(
     max_effects = as_whole(max_effects, "max_effects")
     significance = as_share(significance, "significance")
     effort = as_number(effort, "effort", least=0.0)
+    matters = levels().matters if matters is None else as_number(matters, "matters", least=0.0)
     records = as_data(data, horizon=horizon, noise=noise, controller=controller)
     model = under_control(model, controller, data)
     physical = as_physical(model)
@@ -184,15 +194,16 @@ def improve(
             raise DataError(still)
         odd = looks(model, records, horizon) if in_time else ()
         library = not_held(library, nominal.effects)
-        improver = _Improver(start, nominal, parts, settings, library, significance, bar, effort)
+        improver = _Improver(start, nominal, parts, settings, library, significance, bar, effort, matters)
         verdict, message, notes = improver.improve(max_effects)
         if verdict == "unexplained" and candidates is None:
             notes += filter(None, [not_tried(physical, library, ordered)])
     outputs = physical.linear.output_labels
     units = tuple(parts.fit[0].output_units) if in_time else ("std",) * len(outputs)
     return Improvement(
-        tuple(improver.steps), verdict, message, outputs, units, (*parts.remarks, *notes, *cut), odd
-    )
+        tuple(improver.steps), verdict, message, outputs, units, (*parts.remarks, *notes, *cut), odd,
+        improver.errors_on(parts.judge, improver.steps[-1].refinement),
+    )  # fmt: skip
 
 
 @dataclass(eq=False)
@@ -215,8 +226,14 @@ class _Improver:
         Progress display, which also runs the tasks.
     effort : float
         Refits that each search may take, times the usual number.
+    matters : float
+        Share of the spread of an output below which an error of the model does not matter.
     steps : list of Step
         Steps so far.
+    tests : tuple of FTest
+        Residual tests of the chosen set on the first part.
+    found : float
+        Share of the innovations' power that they find.
     """
 
     start: Refinement
@@ -227,7 +244,10 @@ class _Improver:
     significance: float
     progress: Progress
     effort: float = 1.0
+    matters: float = 0.01
     steps: list[Step] = field(default_factory=list)
+    tests: tuple[FTest, ...] = ()
+    found: float = 0.0
 
     def improve(self, most: int) -> tuple[str, str, list[str]]:
         """Choose a set and record its steps; return verdict, message and notes."""
@@ -235,24 +255,56 @@ class _Improver:
             self._tell([(None, "start", self._settled(self.start))], "")
             why = "Stopped at max_effects = 0" if not most else "No candidate is left"
             return "unexplained", f"{why}; the residual is not noise.", []
-        search = Search(self._case(self.nominal, self.parts.fit), most, alone=False).run()
-        chosen = self._chosen(search)
-        doubtful = self._doubtful(search, chosen)
-        if doubtful:
-            search, chosen = self._by_error(search, most)
-        if not doubtful and self.parts.whole:
-            search, chosen = self._pooled(search, chosen)
-        passed, doubtful = search.passed(chosen), self._doubtful(search, chosen)
+        first = Search(self._case(self.nominal, self.parts.fit), most, alone=False).run()
+        search, chosen = self._choice(first, most)
+        passed = search.passed(chosen)
+        self.tests = search.tests(chosen)
+        self.found = found_share(chosen.tested, self.tests, self.significance)
         self._tell(self._rungs(chosen, search), "adequate" if passed else "unexplained")
         if not passed:
             self._cut()
         notes = [*self._tie(chosen, search), *about_hold(chosen, search)]
         back = self._back()
+        doubtful = self._doubtful(search, chosen) and not self._close()
         law, back = self._with_table(search, back, most) if doubtful else (None, back)
-        verdict = "adequate" if passed and (not back or search.passed(search.trials[0])) else "unexplained"
-        if verdict == "unexplained" and search.not_afforded:
-            notes.append(search.not_afforded)
-        return verdict, self._ending(verdict, back, len(chosen.effects) >= most, law), notes
+        if passed and (not back or search.passed(search.trials[0])):
+            return "adequate", self._ending("adequate", back, len(chosen.effects) >= most, law), notes
+        if close := self._close():
+            # what imitates a law in one motion is not known to do so in another
+            sure = not any(step.effect for step in self.steps) or at_rest(self.parts.judge)
+            return "adequate" if sure else "unexplained", close, notes
+        notes += filter(None, [search.not_afforded])
+        return "unexplained", self._ending("unexplained", back, len(chosen.effects) >= most, law), notes
+
+    def errors_on(self, records: Sequence[Any], model: Refinement) -> tuple[ErrorShare, ...]:
+        """Return the errors of a model on one of the parts."""
+        labels = model.physical_model.linear.output_labels
+        if in_frequency(records):
+            return ()
+        try:
+            left = [_left(model, record, self.settings["horizon"]) for record in records]
+        except DivergenceError:
+            return tuple(ErrorShare(label, np.inf, np.inf, 0.0) for label in labels)
+        innovations = Whitener.fit(left, floor=1e-150).scales
+        every = [*self.parts.learn, *self.parts.judge]
+        outputs = [ordered_record(model.physical_model, record).outputs for record in every]
+        return error_shares_of(labels, left, outputs, innovations, self.found)
+
+    @property
+    def is_close(self) -> bool:
+        """True if the error of the last model does not matter on any part."""
+        return self._all_close(self.steps[-1].refinement, self.parts.learn, self.parts.judge)
+
+    def _close(self) -> str:
+        """Return the end if the error of the model is too small to matter."""
+        if not self.is_close:
+            return ""
+        last, parts = self.steps[-1].refinement, (self.parts.learn, self.parts.judge)
+        most = max(one.model for part in parts for one in self.errors_on(part, last))
+        return (
+            f"The residual is not noise, but the model is adequate to {in_percent(most)}: its error "
+            f"is less than what matters ({in_percent(self.matters)} of the motion)."
+        )
 
     def _with_table(self, search: Search, back: list[str], most: int) -> tuple[Any, list[str]]:
         """Add the remaining force, tabulated, as a last step if it is kept.
@@ -269,11 +321,31 @@ class _Improver:
 
     def _case(self, start: Refinement, records: Sequence[Measurement]) -> Case:
         """Return the case of some of the records, with offsets at all channels."""
-        given = {**self.settings, "free": ()}
+        given = {**self.settings, "free": (), "matters": self.matters}
         base = with_offsets(start, records, given)
         return Case(base, records, self.library, given, self.significance, self.progress, self.effort)
 
     # ------------------------------------------------------------------ choosing
+    def _choice(self, search: Search, most: int) -> tuple[Search, Trial]:
+        """Return the chosen set, and the search that holds it.
+
+        If the error of the model as it is does not matter, nothing is added. Of several sets whose error on
+        a decay does not matter, it is the one with the least error on the second part.
+        """
+        chosen = self._chosen(search)
+        if not self._doubtful(search, chosen):
+            return self._pooled(search, chosen) if self.parts.whole else (search, chosen)
+        close = [t for t in close_models(search) if not t.effects or at_rest(self.parts.choose)]
+        close.sort(key=lambda trial: self._log_error(trial.model.refinement))
+        if close and self._all_close(close[0].model.refinement, self.parts.choose):
+            return search, close[0]
+        return self._by_error(search, most)
+
+    def _all_close(self, model: Refinement, *parts: Sequence[Any]) -> bool:
+        """Return whether the error of a model does not matter on some parts."""
+        left = [one for part in parts for one in self.errors_on(part, model)]
+        return bool(left) and not matter(left, self.matters)
+
     def _pooled(self, search: Search, chosen: Trial) -> tuple[Search, Trial]:
         """Choose among the likely sets again, on the first two parts together.
 
@@ -528,6 +600,73 @@ class _Improver:
         if full:
             return f"Stopped at max_effects = {len(self.steps) - 1}; the residual is not noise.{said}"
         return f"No other set of effects reduces the held-out error enough.{said}"
+
+
+def by_smaller_motion(found: Diagnosis, case: Case, model: Any) -> Diagnosis:
+    """Return the diagnosis of decays by what holds for smaller motion, too.
+
+    What only imitates a law where the motion is large fails where it is small. A decay offers both: effects
+    are fitted to its first part, chosen on the next one and judged on the last, as in `improve`. The
+    diagnosis is returned as it is if no set of named effects leaves too little to matter.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        Diagnosis; where it names an effect that passes its tests, or needs none, it is returned.
+    case : Case
+        Records and settings. If inputs move, the diagnosis is returned.
+    model : StateSpace, PhysicalModel or Refinement
+        Initial model.
+
+    Returns
+    -------
+    Diagnosis
+    """
+    inexact = found.verdict == "unexplained" or np.isfinite(found.adequate_to)
+    if not (found.ranking and inexact and case.in_time and at_rest(case.ordered)):
+        return found
+    try:
+        parts = split_in_parts(case.records, None)
+    except DataError:  # too short for three parts
+        return found
+    horizon, _ = common_horizon(case.base.physical_model, case.ordered, case.settings["horizon"])
+    settings = case.options | {"horizon": horizon}
+    start = base_fit(model, parts.fit, free=case.settings["free"], **settings)
+    library = not_held(case.library, start.effects)
+    about = settings, library, case.significance, case.progress, case.effort, case.levels.matters
+    improver = _Improver(start, start, parts, *about)
+    _, _, notes = improver.improve(_MOST)
+    steps = {step.effect: step for step in improver.steps if step.effect is not None}
+    if not steps or not improver.is_close or any(effect.spec.needs_law for effect in steps):
+        return found
+    return _renamed(found, improver, steps, notes)
+
+
+def _renamed(
+    found: Diagnosis, improver: _Improver, steps: Mapping[Effect, Step], notes: Sequence[str]
+) -> Diagnosis:
+    """Return a diagnosis that names the effects of an improvement."""
+    best = _ranked(list(steps), improver.steps[-1].refinement, found)
+    tied = [e for effect, step in steps.items() if step.rivals for e in (effect, *step.rivals)]
+    left = improver.errors_on(improver.parts.judge, best.refinement)
+    said = "The effects were fitted to the first part of each decay and chosen on the next, smaller one."
+    rest = (replace(row, alike=False, probability=np.nan) for row in found.ranking)
+    return replace(
+        found, verdict="ambiguous" if tied else "effect", ranking=(best, *rest), open_law=None,
+        ambiguous=tuple(tied), winner_tests=improver.tests, error_shares=left, none_of_these=np.nan,
+        adequate_to=max(one.model for one in left), notes=(said, *notes),
+    )  # fmt: skip
+
+
+def _ranked(effects: Sequence[Effect], model: Refinement, found: Diagnosis) -> RankedEffect:
+    """Return effects and the model that holds them as a row of a ranking."""
+    first, *beside = effects
+    rows = estimates(model, first)
+    values = {name: row.coefficient for name, row in rows.items()}
+    std = {name: row.std for name, row in rows.items()}
+    p_value = next((row.p_value for row in found.ranking if row.effect == first), np.nan)
+    figures = float(np.mean(found.base.fit)), float(np.mean(model.fit)), p_value, np.nan, np.nan
+    return RankedEffect(first, values, std, *figures, model, tuple(beside), alike=True)
 
 
 def _log(errors: Array) -> float:

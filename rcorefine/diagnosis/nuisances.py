@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 import numpy as np
 
 from ..data import HOLDS
+from ..data.measurement import Measurement
+from ..data.response_record import in_frequency
 from ..effects.bodies import Mass
 from ..effects.effect import Effect
+from ..engine.controlled import integrates
 from ..exceptions import IdentifiabilityWarning, unheard
+from ..inference.assembly import offsets_everywhere
 from ..inference.fitted import FittedModel, fitted_from
-from ..inference.levels import Levels
+from ..inference.levels import Levels, levels
 from ..inference.parameters import nominal_size
 from ..inference.refinement import Refinement
 from ..models.library import effect_library
-from ..refinement.refine import base_fit, refine
+from ..models.operating_point import ordered_record
+from ..refinement.refine import base_fit, refine, refit
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
 
 if TYPE_CHECKING:
     from .case import Case
     from .hypothesis import Trial
+    from .search import Search
 
 
 _STRONG = 75.0  # fit in percent below which the parameters are searched for in a wide range
@@ -247,3 +254,36 @@ def parameters_of(case: Case) -> list[tuple[Effect, float]]:
     every = {(e.kind, e.place): e for e in [*masses, *declared] if (e.kind, e.place) not in held}
     sized = [(e, nominal_size(structure, e)) for e in every.values()]
     return [(e, size) for e, size in sized if 0.0 < size < np.inf]
+
+
+def with_offsets(base: Refinement, records: Sequence[Measurement], options: dict[str, Any]) -> Refinement:
+    """Return the model refitted with an offset at every input and output.
+
+    A linear model cannot distinguish an offset of a sensor from an offset of an input or an initial state. A
+    nonlinear effect depends on the zero of its signal and is not recognized at a wrong zero. The model is
+    returned unchanged if it has no offset, if it integrates, or if the means of the outputs are small. The
+    same holds for frequency responses.
+    """
+    if "offset" not in base.roles:
+        return base
+    ordered = [ordered_record(base.physical_model, record) for record in records]
+    if in_frequency(ordered) or integrates(base.physical_model.linear, ordered[0]):
+        return base
+    y = np.concatenate([record.outputs for record in ordered], axis=1)
+    if not np.any(np.abs(y.mean(axis=1)) > levels().zero * y.std(axis=1)):
+        return base  # so small an offset does not hide an effect
+    everywhere = offsets_everywhere(base.physical_model, ordered)
+    given = {name: options[name] for name in ("tolerance", "offset", "noise", "horizon")}
+    return refit(base, records, offsets=everywhere, elsewhere=False, **given)
+
+
+def about_hold(trial: Trial, search: Search) -> list[str]:
+    """Return notes on another hold that fits better than the declared one."""
+    model, records = search.case.base.physical_model, search.case.records
+    said = "the record declares" if model.hold is None else "the model was fitted with"
+    return [
+        f"The hold matters more than most effects: {said} hold={model.hold or records[0].hold!r}, "
+        f"hold={one.hold!r} fits better."
+        for one in trial.hypothesis.nuisances
+        if isinstance(one, Hold)
+    ]

@@ -22,7 +22,9 @@ from ..results import Look, Result, picture, show
 from ..systems.linear import Array
 from .beside import channel_curve, curve_at, curve_columns, motion_at
 from .hypothesis import Trial
+from .nuisances import Nuisance
 from .residual_tests import TestedResidual, likely_places
+from .search import Search
 
 _NAMES = {
     Tabulated.name: "unknown force",
@@ -310,3 +312,29 @@ def hidden_force(model: Refinement, noise: Array, port: Port, record: Measuremen
     spread = 0.0 * force + std
     units = (port.position_unit, port.velocity_unit, port.force_unit)
     return HiddenForce(port.name, record.timepts, d, v, force, spread, *units)
+
+
+def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
+    """Return free forces for an unexplained record, and their base model.
+
+    The base is the model as given, unless its re-estimated parameters alone fit better than any free force or
+    single effect. The forces are None if no single candidate effect was fitted at the chosen base.
+    """
+    empty = {trial.hypothesis.key: trial for trial in search.trials if not trial.effects}
+    for nuisances in dict.fromkeys((frozenset[Nuisance](), search.opened)):
+        base = search.base(nuisances)
+        offered = [
+            x for x in search.ranked() if x.base is base and set(x.effects) <= set(search.case.library)
+        ]
+        alone = [x for x in offered if len(x.effects) == 1]
+        if not alone:
+            continue
+        whitener = base.problem.whitener([r for r, _ in alone[0].blocks])
+        free = open_law(SingleFits(base, alone, whitener))
+        opened = empty.get((frozenset(), search.opened))
+        after = max(
+            free.law.fit_after if free.law else 0.0, *(float(np.mean(x.model.refinement.fit)) for x in alone)
+        )
+        if opened is None or nuisances or after >= float(np.mean(opened.model.refinement.fit)):
+            return free, base
+    return None, search.base(search.opened)

@@ -164,31 +164,33 @@ class Fitter:
         """Fit a set of effects at a base, with few evaluations."""
         return self.fit(task[0], task[1], [task[2]], shared=True, evaluations=5)
 
-    def sought(self, effect: Effect) -> Trial | None:
-        """Fit one effect in the model as it is, from the search of `refine`.
+    def sought(self, task: tuple[Hypothesis, FittedModel]) -> Trial | None:
+        """Fit one effect at a base, from the search of `refine`.
 
         A strong effect moves the resonances. The fit without it is then in another local minimum, which holds
         every start nearby. The search leaves it by observers that follow the record, and by free runs of
         growing length.
         """
-        problem, _ = self.fitted.extended([effect], self.motion)
+        hypothesis, base = task
+        problem, _ = base.extended(list(hypothesis.effects), self.motion)
 
         def build(records: Sequence[Measurement], steps: int, unknown_start: bool = False) -> Problem:
             return problem.like(records=records, substeps=steps)
 
-        structure, theta = problem.structure, self.fitted.theta
+        structure, theta = problem.structure, base.theta
         theta = np.concatenate([theta, structure.start()[theta.size :]])
-        starts = shape_starts(structure, theta, self.motion, len(self.fitted.structure.effects))
+        starts = shape_starts(structure, theta, self.motion, len(base.structure.effects))
         try:
-            point, steps = search(build, structure, problem.records, starts, problem.substeps)
+            with np.errstate(over="ignore", invalid="ignore"):  # some trial points run away
+                point, steps = search(build, structure, problem.records, starts, problem.substeps)
         except (np.linalg.LinAlgError, ValueError):  # no observer exists for this model
             return None
         problem = problem.like(substeps=max(steps, problem.substeps))
-        gain = _gain(self.fitted, problem, 0.0)
+        gain = _gain(base, problem, 0.0)
         run = descend(problem, point, gain=gain, evaluations=8)
         if not np.isfinite(run.cost):
             return None
-        return self._under_own_noise(Trial(Hypothesis((effect,)), self.fitted, problem, run), gain, 8)
+        return self._under_own_noise(Trial(hypothesis, base, problem, run), gain, 8)
 
     def _under_own_noise(self, trial: Trial, gain: Array | None, evaluations: int) -> Trial:
         """Refit a trial under its own noise while the evidence rises.

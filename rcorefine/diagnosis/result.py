@@ -20,6 +20,7 @@ from ..inference.refinement import Refinement
 from ..results import Look, Options, Reported, ReportedModel, Row, picture, show, with_error
 from ..systems.linear import Array
 from .check_rows import CheckRow, Detectable
+from .error_shares import ErrorShare
 from .open_law import HiddenForce, OpenLaw, hidden_force
 from .words import sentences
 
@@ -149,6 +150,12 @@ class Diagnosis(Reported):
         memory: how much, and what that may hide. Else empty.
     checks : tuple of CheckRow
         What `check` finds odd about the records, or the model beside them, before anything is tested.
+    error_shares : tuple of ErrorShare
+        What the model of the verdict leaves of each output, and how much of that is no noise. Empty for
+        frequency responses and where an unmeasured force is allowed for.
+    adequate_to : float
+        Largest error of the model, as a share of the spread of its output, where the tests find an error
+        that is too small to matter (`matters` of `diagnose`). Such a verdict has no probability. Else NaN.
     """
 
     verdict: str
@@ -178,6 +185,8 @@ class Diagnosis(Reported):
     open_law: OpenLaw | None = None
     left_to_noise: str = ""
     checks: tuple[CheckRow, ...] = ()
+    error_shares: tuple[ErrorShare, ...] = ()
+    adequate_to: float = np.nan
 
     @property
     def place(self) -> str | None:
@@ -456,6 +465,9 @@ class Improvement(ReportedModel):
         What was noticed about the record: its parts, its hold.
     checks : tuple of CheckRow
         What `check` finds odd about the records, or the first model beside them.
+    error_shares : tuple of ErrorShare
+        What the last model leaves of each output on the held-out data, and how much of that is no noise.
+        Empty for frequency responses.
     """
 
     steps: tuple[Step, ...]
@@ -465,6 +477,7 @@ class Improvement(ReportedModel):
     output_units: tuple[str, ...]
     notes: tuple[str, ...] = ()
     checks: tuple[CheckRow, ...] = ()
+    error_shares: tuple[ErrorShare, ...] = ()
 
     @property
     def refinement(self) -> Refinement:

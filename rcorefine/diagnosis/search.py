@@ -366,7 +366,18 @@ class Search:
         # the screen along the estimated motion is not bound to this minimum
         nearest = [groups[0].effect for _, groups in likely[-1] if groups][:_SOUGHT]
         nearest += [x.effects[0] for x in self.ranked() if len(x.effects) == 1][:_SOUGHT]
-        todo = list(dict.fromkeys(nearest)) if far else []
+        if far:
+            self._elsewhere(list(dict.fromkeys(nearest)))
+
+    def _elsewhere(self, effects: Sequence[Effect]) -> None:
+        """Fit effects in other local minima until one passes its tests.
+
+        They are fitted to the model as it is, and then together with re-estimated parameters.
+        """
+        todo = [(Hypothesis((effect,)), self.fitted) for effect in effects]
+        if self.opened and self.case.in_time:
+            base = self.base(self.opened)
+            todo += [(Hypothesis((effect,), self.opened), base) for effect in effects if self.is_open(effect)]
         while todo and not (self.best.effects and self.passed(self.best)):
             if not self.affords("other local minima"):
                 break
@@ -707,6 +718,13 @@ class Search:
                 except ModelError:  # the model diverges within one sample, or no observer exists
                     self._criticism[trial] = Criticism(False, [], -np.inf)
         return self._criticism[trial]
+
+    def tests(self, trial: Trial) -> tuple[FTest, ...]:
+        """Return the residual tests of a trial, even if the first have decided."""
+        known = self.criticized(trial)
+        if not known.tests:
+            known = self._criticism[trial] = known._replace(tests=self.all_tests(trial))
+        return tuple(known.tests)
 
     def _criticize(self, trial: Trial) -> Criticism:
         case, fitted = self.case, trial.model

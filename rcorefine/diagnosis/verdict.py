@@ -12,6 +12,7 @@ from scipy import stats
 from ..comparison.compare import compare
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
+from ..effects.law import KINDS
 from ..inference.f_tests import project
 from ..inference.levels import Levels
 from ..inference.parameters import EstimatedParameter
@@ -19,10 +20,14 @@ from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns
 from .case import Case, not_held
 from .check_rows import Detectable
+from .error_shares import error_shares
 from .hypothesis import Trial, unphysical
 from .residual_tests import TestedResidual
 from .result import RankedEffect
 from .search import Search, is_gain, is_number
+
+_CLOSE = 12  # most probable sets of which one may be close enough
+_LEFT_OVER = 0.3  # of the error of the model as it is, that what explains it may leave
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +180,51 @@ def answer(search: Search, rows: Sequence[TableRow], passed: Callable[[Trial], b
     return unexplained
 
 
+def close_enough(search: Search, rows: Sequence[TableRow], found: Answer) -> Answer:
+    """Return "adequate" if the error of the model as it is does not matter.
+
+    Used where no set passes its tests. The answer has no probability: no hypothesis of the table is exact.
+    """
+    nothing = search.trials[0]
+    if _model_error(search, nothing) > 1.0:
+        return found
+    row = next(row for row in rows if not row.effects and not row.floated)
+    return Answer("adequate", row, nothing, (), (), (), np.nan, np.nan)
+
+
+def close_models(search: Search) -> list[Trial]:
+    """Return the models that are close enough, if possible without effects.
+
+    Effects must explain nearly all of the error of the model as it is. Of the sets, those with the fewest
+    coefficients are returned: the evidence does not decide between models that are all inexact. Parameters
+    alone are not returned: they imitate many a law to within what matters.
+    """
+    free_runs = [t for t in search.ranked() if not t.hypothesis.ratio and search.determined(t)]
+    nothing = search.trials[0]
+    before = _model_error(search, nothing)
+    if before <= 1.0:
+        return [nothing]
+
+    def close(trial: Trial) -> bool:
+        return _model_error(search, trial) <= min(1.0, _LEFT_OVER * before)
+
+    found = [trial for trial in [t for t in free_runs if t.effects][:_CLOSE] if close(trial)]
+    least = min(map(_n_coefficients, found), default=0)
+    return [trial for trial in found if _n_coefficients(trial) == least]
+
+
+def _n_coefficients(trial: Trial) -> int:
+    """Return the number of coefficients that the effects of a trial add."""
+    return sum(len(effect.free) for effect in trial.effects)
+
+
+def _model_error(search: Search, trial: Trial) -> float:
+    """Return the largest error of a model in free run over what matters."""
+    least = search.case.levels.matters
+    left = error_shares(trial.tested, search.tests(trial), search.case.significance)
+    return max((one.model / max(least, one.step, 1e-300) for one in left), default=np.inf)
+
+
 def _likely(rows: Sequence[TableRow], row: TableRow, total: float) -> bool:
     """Return whether failed rows have less than half the probability.
 
@@ -316,9 +366,11 @@ def undetermined(refinement: Refinement, effect: Effect, levels: Levels) -> list
         All sizes of the effect, if none is more than `Levels.moved` standard deviations from zero or if their
         sign contradicts physics. Otherwise the insignificant ones among the essential coefficients and the
         shaping coefficients with a finite lower bound. Insignificant coefficients without a finite standard
-        deviation are included, too. Empty if the data determine the effect.
+        deviation are included, too. Empty if the data determine the effect. Standard deviations are those
+        with an inertia of the model held: where all forces and masses scale together, as in a free decay,
+        only ratios act.
     """
-    rows, law = estimates(refinement, effect), effect.spec
+    rows, law = _with_an_inertia_held(refinement, estimates(refinement, effect)), effect.spec
     values = {name: row.coefficient for name, row in rows.items()}
     loose = {name: row for name, row in rows.items() if not abs(row.coefficient) > levels.moved * row.std}
     sizes = [name for name in rows if name not in law.shaping] or list(rows)
@@ -326,6 +378,24 @@ def undetermined(refinement: Refinement, effect: Effect, levels: Levels) -> list
         return [rows[name] for name in sizes]
     asked = {*law.essential, *(name for name in law.shaping if np.isfinite(effect.bounds(name)[0]))}
     return [row for name, row in loose.items() if name in asked or not np.isfinite(row.std)]
+
+
+def _with_an_inertia_held(
+    refinement: Refinement, rows: dict[str, EstimatedParameter]
+) -> dict[str, EstimatedParameter]:
+    """Return estimates with their standard deviations beside a known inertia.
+
+    It is the inertia that tells most about them.
+    """
+    C, every = refinement.covariance, refinement.parameters
+    inertias = [i for i, row in enumerate(every) if row.role == "linear" and KINDS[row.kind].inertial]
+    known = [i for i in inertias if np.isfinite(C[i]).all() and C[i, i] > 0]
+    if not known:
+        return rows
+    own = [every.index(row) for row in rows.values()]
+    variance = np.min([np.diag(C)[own] - C[i, own] ** 2 / C[i, i] for i in known], axis=0)
+    std = np.sqrt(np.maximum(variance, 0.0))
+    return {name: replace(row, std=float(sd)) for (name, row), sd in zip(rows.items(), std, strict=True)}
 
 
 def _validated(refinement: Refinement, validation: Measurement | None, horizon: float | None) -> float:

@@ -13,6 +13,7 @@ from ..inference.levels import levels
 from ..inference.parameters import EstimatedParameter
 from ..inference.refinement import Refinement
 from ..results import chance, with_error
+from .error_shares import in_percent, matter
 from .residual_tests import overall
 
 if TYPE_CHECKING:
@@ -60,11 +61,16 @@ def sentences(found: Diagnosis) -> list[str]:
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
         head = found.left_to_noise or lines[0]
-        lines = [f"{head} {what_was_absorbed(found.base)}".rstrip(), no_test_fires(found)]
-        shown = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in found.detectable[:4])
-        lines += [f"Smallest effects that it would show (95 % probability): {shown}."] if shown else []
+        lines = [f"{head} {what_was_absorbed(found.base)}".rstrip(), *_left(found)]
+        if worst is not None and np.isfinite(found.adequate_to):
+            lines.append(f"The residual is not noise: {failed_test(worst)}.")
+        else:
+            lines.append(no_test_fires(found))
+            shown = (f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in found.detectable[:4])
+            if said := ", ".join(shown):
+                lines.append(f"Smallest effects that it would show (95 % probability): {said}.")
     elif worst is not None:  # without motion nothing could be tested
-        lines += [*_open_law(found), *_tests(found, worst), *_meaning(found)]
+        lines += [*_open_law(found), *_tests(found, worst), *_left(found), *_meaning(found)]
     lines += [*_other_names(found), *_offsets(found), *_other_forces(found)]
     if found.verdict == "ambiguous" and sum(row.alike for row in found.ranking) != 1:
         lines.append(
@@ -75,6 +81,21 @@ def sentences(found: Diagnosis) -> list[str]:
     if found.base.physical_model.operating_point is not None and found.ranking:
         lines.append("At the operating point, each force law is used without its tangent: the model has it.")
     return [*filter(None, lines), *found.notes]
+
+
+def _left(found: Diagnosis) -> list[str]:
+    """Describe what the model of the verdict leaves of the motion."""
+    if not found.error_shares:
+        return []
+    worst = max(found.error_shares, key=lambda one: one.model)
+    said = f"The free run leaves {in_percent(worst.share)} of the motion of {worst.output}: the error of the "
+    said += f"model is at most {in_percent(worst.model)}"
+    least = found.settings["matters"]
+    close = np.isfinite(found.adequate_to) or not matter(found.error_shares, least)
+    said += f", less than what matters ({in_percent(least)})" if close and worst.model <= least else ""
+    said += f"; the step of the sensor is {in_percent(worst.step)}" if worst.step > 0 else ""
+    enough = " It may serve in a simulation, although its effects may only imitate what is missing."
+    return [f"{said}.{enough if close and found.verdict == 'unexplained' else ''}"]
 
 
 def _other_names(found: Diagnosis) -> list[str]:
@@ -111,19 +132,31 @@ def _other_forces(found: Diagnosis) -> list[str]:
 
 def _headline(found: Diagnosis) -> str:
     """Return the verdict in a sentence."""
+    if np.isfinite(found.adequate_to) and not found.ranking:
+        said = "This record shows no missing effect that matters"
+        return f"{said}: the model is adequate to {in_percent(found.adequate_to)}."
     if found.verdict == "parameters" and found.left_to_noise:
         return "With re-estimated parameters, the residual cannot be distinguished from colored noise."
     if found.floated is not None and far_numbers(determined(found.floated)):
         return "Parameter values explain the data, but such large changes may hide an effect."
-    tied = [row.label for row in found.ranking if row.alike]
-    alike = ", ".join(tied or [e.label for e in found.ambiguous])
-    if len(tied) == 1:
-        force = found.none_of_these > levels().no_law
-        alike += f" and {_force(found)} of unknown form" if force else " and changed parameter values"
     n, place = len(found.effects), found.place
     missing = "One effect is missing" if n < 2 else f"{_NUMBERS[n]} effects are missing"
     where = "" if place is None else f"; one is missing at {place} (probability {found.places[place]:.2f})"
-    return _VERDICTS[found.verdict].format(best=_best(found), alike=alike, where=where, missing=missing)
+    return _VERDICTS[found.verdict].format(
+        best=_best(found), alike=_alike(found), where=where, missing=missing
+    )
+
+
+def _alike(found: Diagnosis) -> str:
+    """List the hypotheses that the data cannot distinguish."""
+    tied = [row.label for row in found.ranking if row.alike]
+    named = [effect.label for effect in found.ambiguous]
+    if len(tied) != 1:
+        return ", ".join(tied or named)
+    if np.isfinite(found.adequate_to):  # a part of the set is tied, or the tests contradict all of it
+        return ", ".join((named[1:] and named) or [tied[0], f"{_force(found)} of another form"])
+    force = found.none_of_these > levels().no_law
+    return tied[0] + (f" and {_force(found)} of unknown form" if force else " and changed parameter values")
 
 
 def _tests(found: Diagnosis, worst: FTest) -> list[str]:
@@ -136,7 +169,7 @@ def _tests(found: Diagnosis, worst: FTest) -> list[str]:
         odds = f"over {1.0 / found.significance:.3g} times as probable as no missing effect"
         lines = [f"{no_test_fires(found)} But this is {odds}."]
     failed = found.winner_tests and overall(found.winner_tests) < found.significance
-    if found.verdict == "unexplained" and failed:
+    if failed and (found.verdict == "unexplained" or np.isfinite(found.adequate_to)):
         left = min(found.winner_tests, key=lambda t: t.p_value)
         lines.append(f"With the best candidate it is not noise, either: {failed_test(left)}.")
     if found.floated is not None:
@@ -241,7 +274,7 @@ def _best(found: Diagnosis) -> str:
     if found.best is None:
         return "nothing"
     row = found.best
-    sure = "" if found.verdict == "unexplained" else f", probability {row.probability:.2f}"
+    sure = "" if np.isnan(row.probability) else f", probability {row.probability:.2f}"
     return f"{_estimated(row)}: fit {row.fit_before:.4g} -> {row.fit_after:.4g} %{sure}"
 
 

@@ -82,6 +82,9 @@ class Levels:
     earned : float
         Log of the error on the choosing part, about 0 by chance, that each coefficient must
         save to be added by `improve`.
+    matters : float
+        Share of the spread of an output. A smaller error of the model does not matter, even if a test finds
+        it, nor does one below the rounding step of the sensor.
     spoiled : float
         The same that a set chosen for its likelihood may cost there; and the share by which a set that is
         named may raise the error of the free run.
@@ -137,6 +140,7 @@ class Levels:
     moved_far: float = 0.3
     moved_wide: float = 2.0
     earned: float = 0.05
+    matters: float = 0.01
     spoiled: float = 0.02
     failure: float = 0.01
     failure_besides: float = 0.005

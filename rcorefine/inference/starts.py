@@ -354,7 +354,8 @@ def far_starts(problem: Problem, structure: Structure, theta: Array) -> list[Arr
         size = nominal.get((effect.kind, effect.place), 0.0)
         if effect.spec.inertial:
             size = structure.inertia(effect.place)
-        if effect.spec.is_element and 0 < size < np.inf:
+        known = problem.prior_sd[i] < size  # a declared tolerance: it is not far off
+        if effect.spec.is_element and 0 < size < np.inf and not known:
             columns.append((i, size))
     if not columns:
         return []

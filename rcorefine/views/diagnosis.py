@@ -157,7 +157,8 @@ def diagnosis_told(found: Diagnosis) -> Told:
     if found.floated is not None:
         return above, estimates_table(found.parameters, title, [*above[1:], following]), [following]
     headers = ["effect", "value", "std", "fit %", "p-value"]
-    named = found.verdict != "unexplained"  # no probability for what fails its own tests
+    # no probability for what fails its own tests
+    named = found.verdict != "unexplained" and np.isnan(found.adequate_to)
     headers += ["P"] if named else []
     rows = []
     for row in found.ranking[:_SHOWN]:
