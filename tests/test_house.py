@@ -38,7 +38,7 @@ BUDGET = {
     ".": 7900, "arguments": 2156, "commands": 8295, "comparison": 28176, "data": 24688, "diagnosis": 72030,
     "effects": 29852, "engine": 46940, "examples": 2261, "exercises": 5074, "explorer": 11520, "export":
     6216, "fleet": 10358, "inference": 31891, "localization": 11722, "models": 40789, "refinement": 1840,
-    "streaming": 73506, "systems": 5887, "views": 41358,
+    "streaming": 73506, "systems": 5887, "views": 41371,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.

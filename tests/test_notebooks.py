@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 import warnings
 from pathlib import Path
 
@@ -62,6 +63,8 @@ def test_notebook_runs(path, tmp_path, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     # the kernel must import the very package under test, wherever it is started
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])))
+    for data in NOTEBOOKS.glob("*.csv"):  # they stand beside the notebooks
+        shutil.copy(data, tmp_path)
     notebook = jupytext.read(path)
     with warnings.catch_warnings():
         # jupyter_client, pyzmq and asyncio warn about each other's deprecations

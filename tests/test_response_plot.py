@@ -1,10 +1,12 @@
 """Step, pole and Nyquist pictures of a refinement, and the models drawn for their bands."""
 
 import control as ct
+import matplotlib as mpl
 import numpy as np
 import pytest
 
 import rcorefine as rco
+from rcorefine.views.figures import Frame
 
 
 @pytest.fixture(scope="module")
@@ -55,3 +57,15 @@ def test_the_bode_plot_has_a_band(better):
     omega = np.array([2.0, 9.0, 20.0])
     shown = better.bode_plot(omega=omega)
     assert any(len(ax.collections) for ax in shown.axes.flat)
+
+
+def test_a_notebook_goes_on_to_show_figures():
+    """Its backend turns the interactive mode on when the first figure loads it, within our settings."""
+    before = mpl.is_interactive()
+    try:
+        mpl.interactive(False)
+        with Frame().settings():
+            mpl.interactive(True)
+        assert mpl.is_interactive()
+    finally:
+        mpl.interactive(before)

@@ -106,6 +106,9 @@ class Frame:
         changed: Any = {**ct.rcParams, **(self.rcParams or {})}
         with plt.rc_context(changed):
             yield
+            live = mpl.is_interactive()
+        # the first figure loads the backend, and that of a notebook shows figures by themselves from then on
+        mpl.interactive(live)
 
     @contextmanager
     def axes(self, ratios: Sequence[float], n_columns: int, **layout: Any) -> Iterator[tuple[Any, Any]]:
