@@ -26,6 +26,7 @@ from ..inference.levels import levels
 from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
 from ..inference.whitening import RESOLUTION
+from ..models.conversion import as_physical
 from ..models.library import effect_library, reads_rate, zero_entries
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
@@ -182,6 +183,51 @@ def differenced(physical: PhysicalModel, records: Sequence[Measurement]) -> list
         for dt in steps
         if rate and len(steps) == 1
     ]
+
+
+def with_recorded_inputs(model: Any, records: Sequence[Any]) -> tuple[Any, tuple[str, ...]]:
+    """Return a model with the recorded inputs that it lacks, and a note.
+
+    They act on nothing yet; the zero entries of B and D are candidates.
+
+    Parameters
+    ----------
+    model : StateSpace, PhysicalModel or Refinement
+        Model.
+    records : sequence of Measurement
+        Records. An input counts if all of them hold it, and all inputs of the model, by name.
+
+    Returns
+    -------
+    model : StateSpace, PhysicalModel or Refinement
+        The model as it was if no input is left over.
+    notes : tuple of str
+    """
+    physical = as_physical(model)
+    linear = physical.linear
+    if in_frequency(records) or physical.controller is not None or physical.operating_point is not None:
+        return model, ()
+    shared = [label for label in records[0].input_labels if all(label in r.input_labels for r in records)]
+    extra = [label for label in shared if label not in linear.input_labels]
+    if not extra or not set(linear.input_labels) <= set(shared):
+        return model, ()
+    wider = np.zeros((linear.n_states + linear.n_outputs, len(extra)))
+    units = dict(zip(records[0].input_labels, records[0].input_units, strict=True))
+    physical = replace(
+        physical,
+        linear=linear.with_arrays(
+            B=np.hstack([linear.B, wider[: linear.n_states]]),
+            D=np.hstack([linear.D, wider[linear.n_states :]]),
+            input_labels=(*linear.input_labels, *extra),
+        ),
+        output_input=np.hstack([physical.output_input, wider[linear.n_states :]]),
+        input_units=(*physical.input_units, *(units[label] for label in extra))
+        if physical.input_units
+        else (),
+    )
+    names = ", ".join(f"{label} (column {linear.n_inputs + k} of B)" for k, label in enumerate(extra))
+    said = f"The model lacks an input of the records: {names}. Its entries are candidates."
+    return (replace(model, physical_model=physical) if isinstance(model, Refinement) else physical), (said,)
 
 
 def not_held(candidates: Sequence[Effect], held: Sequence[Effect]) -> list[Effect]:

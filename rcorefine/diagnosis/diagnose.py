@@ -33,7 +33,7 @@ from ..progress import Progress
 from ..refinement.refine import base_fit
 from ..results import chance, with_error
 from ..systems.linear import Array
-from .case import Case, no_motion, not_excited, not_tried
+from .case import Case, no_motion, not_excited, not_tried, with_recorded_inputs
 from .check import looks
 from .dead_sensors import without_dead_sensors
 from .error_shares import error_shares
@@ -157,6 +157,8 @@ def diagnose(
     candidates : sequence of Effect, optional
         Candidate effects. By default these are `effect_library(model)`, the zero entries of B, C and D of
         stores, the faults of a whole record, and `output_average` over a sample at outputs that are rates.
+        Inputs of the records that the model lacks are added to it, with zero columns of B and D: their
+        entries are candidates, too.
     validation : Measurement or FrequencyResponse, optional
         Validation data for `fit_before` and `fit_after` of the ranking.
     free, tolerance, offset, noise, horizon
@@ -231,7 +233,11 @@ def diagnose(
     matters = levels().matters if matters is None else as_number(matters, "matters", least=0.0)
     given = as_data(data, horizon=horizon, noise=noise, controller=controller)
     model = seen = under_control(model, controller, data)
-    candidates = None if candidates is None else as_effects(candidates, "candidates")
+    added: tuple[str, ...] = ()
+    if candidates is not None:
+        candidates = as_effects(candidates, "candidates")
+    else:
+        model, added = with_recorded_inputs(model, [*given, *([] if validation is None else [validation])])
     if validation is not None:
         check_validation(model, validation)
     options: dict[str, Any] = {"free": free, "tolerance": tolerance, "offset": offset}
@@ -259,7 +265,7 @@ def diagnose(
         case = Case(base, records, candidates, asked, significance, steps, effort)
         found = by_smaller_motion(_ask_twice(case, validation), case, model)
         said = about_noise(base.physical_model, records, live)
-        return replace(found, checks=odd, records=tuple(live), notes=(*silent, *found.notes, *said))
+        return replace(found, checks=odd, records=tuple(live), notes=(*added, *silent, *found.notes, *said))
 
 
 _WHOLE = 1.3  # rms error of the whole free run over that of the windows, within which no window is needed

@@ -46,6 +46,7 @@ from .case import (
     not_tried,
     seen_in,
     split_in_parts,
+    with_recorded_inputs,
 )
 from .check import looks
 from .error_shares import ErrorShare, error_shares_of, found_share, in_percent, matter
@@ -173,7 +174,9 @@ def improve(
     effort = as_number(effort, "effort", least=0.0)
     matters = levels().matters if matters is None else as_number(matters, "matters", least=0.0)
     records = as_data(data, horizon=horizon, noise=noise, controller=controller)
-    model = under_control(model, controller, data)
+    model, added = under_control(model, controller, data), tuple[str, ...]()
+    if candidates is None:
+        model, added = with_recorded_inputs(model, [*records, *([] if validation is None else [validation])])
     physical = as_physical(model)
     check_settings(physical, free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon)
     library = candidates_of(physical) if candidates is None else as_effects(candidates, "candidates")
@@ -201,7 +204,7 @@ def improve(
     outputs = physical.linear.output_labels
     units = tuple(parts.fit[0].output_units) if in_time else ("std",) * len(outputs)
     return Improvement(
-        tuple(improver.steps), verdict, message, outputs, units, (*parts.remarks, *notes, *cut), odd,
+        tuple(improver.steps), verdict, message, outputs, units, (*added, *parts.remarks, *notes, *cut), odd,
         improver.errors_on(parts.judge, improver.steps[-1].refinement),
     )  # fmt: skip
 

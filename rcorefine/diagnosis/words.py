@@ -91,11 +91,12 @@ def _left(found: Diagnosis) -> list[str]:
     said = f"The free run leaves {in_percent(worst.share)} of the motion of {worst.output}: the error of the "
     said += f"model is at most {in_percent(worst.model)}"
     least = found.settings["matters"]
-    close = np.isfinite(found.adequate_to) or not matter(found.error_shares, least)
+    open_ = found.verdict == "unexplained"
+    close = np.isfinite(found.adequate_to) or (open_ and not matter(found.error_shares, least))
     said += f", less than what matters ({in_percent(least)})" if close and worst.model <= least else ""
     said += f"; the step of the sensor is {in_percent(worst.step)}" if worst.step > 0 else ""
     enough = " It may serve in a simulation, although its effects may only imitate what is missing."
-    return [f"{said}.{enough if close and found.verdict == 'unexplained' else ''}"]
+    return [f"{said}.{enough if close and open_ else ''}"]
 
 
 def _other_names(found: Diagnosis) -> list[str]:

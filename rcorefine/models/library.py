@@ -133,21 +133,23 @@ def zero_entries(physical: PhysicalModel) -> list[Effect]:
     """Return `coefficient` effects at entries of B, C and D that are zero.
 
     Only stores have them (currents, temperatures, levels): a sensor may read another store or an input, too,
-    and an input may act on another store. Sensors and forces of masses sit where they are mounted. Nothing is
-    returned where they would be more than 20.
+    and an input may act on another store. Sensors and forces of masses sit where they are mounted; an input
+    that acts on nothing may push any of them. Nothing is returned where they would be more than 20.
     """
     linear, names = physical.linear, [port.name for port in physical.ports]
     store = np.ones(linear.n_states, dtype=bool)
     for port in physical.ports:
         if port.domain in _MOTIONS and f"shunt {port.name}" not in names:
             store &= (port.velocity == 0) & (port.position == 0)
+    unused = ~linear.B.any(axis=0) & ~linear.D.any(axis=0)
+    moving = ~store & np.any([port.velocity != 0 for port in physical.ports] or [~store], axis=0)
     reads = np.array([row.any() and store[row != 0].all() for row in linear.C], dtype=bool)[:, None]
     places = [
         f"{name}[{i},{j}]"
         for name, zero in (
             ("C", (linear.C == 0) & reads & store),
             ("D", (linear.D == 0) & reads),
-            ("B", (linear.B == 0) & store[:, None]),
+            ("B", (linear.B == 0) & (store[:, None] | (moving[:, None] & unused))),
         )
         for i, j in np.argwhere(zero).tolist()
     ]
