@@ -56,6 +56,7 @@ def test_two_effects_are_found_and_the_held_out_error_falls_to_the_noise():
     ladder = improve(chain(), data, candidates=LAWS)
     assert {(e.kind, e.place) for e in ladder.effects} == {(k, p) for k, p, _ in hidden}
     assert ladder.verdict == "adequate"
+    assert ladder.diagnosis.verdict == "effect"
     noise = 0.03 * np.std(data.outputs)
     assert ladder.steps[-1].validation_rmse[0] == pytest.approx(noise, rel=0.1)
     assert ladder.steps[0].validation_rmse[0] > 2 * noise
@@ -167,3 +168,5 @@ def test_ties_are_those_that_a_diagnosis_of_the_same_record_lists(seed):
     assert [step.effect.label for step in ladder.steps[1:]] == [found.best.effect.label]
     tied = {effect.label for effect in (ladder.steps[1].effect, *ladder.steps[1].rivals)}
     assert tied == {effect.label for effect in found.ambiguous}
+    assert ladder.diagnosis.verdict == found.verdict
+    assert set(ladder.effects) == set(found.effects)

@@ -60,8 +60,8 @@ def _record_object(data: Measurement) -> dict[str, Any]:
 
 #: Options that the next command does not take over, and whether a value follows.
 _OWN = dict.fromkeys(
-    ("--picture", "--report", "--csv", "--candidates", "--effects", "--significance", "--max-effects", "--x0",
-     "--free", "--validation", "--split"), True
+    ("--picture", "--report", "--csv", "--candidates", "--effects", "--significance", "--matters",
+     "--max-effects", "--x0", "--free", "--validation", "--split"), True
 ) | {"--json": False, "--overwrite": False}  # fmt: skip
 
 
@@ -251,6 +251,7 @@ def _options(arguments: Namespace, model: Any) -> dict[str, Any]:
         "candidates": wanted_candidates(model, arguments.candidates),
         **fit_options(arguments),
         "significance": arguments.significance,
+        "matters": arguments.matters,
         "progress": sys.stderr.isatty() and not arguments.json,
     }
 
@@ -450,8 +451,8 @@ def _survey_options(arguments: Namespace) -> dict[str, Any]:
     candidates = None
     if arguments.candidates:
         candidates = wanted_candidates(model_for(arguments.model), arguments.candidates)
-    given = {"candidates": candidates, "effects": candidates or [], "significance": arguments.significance}
-    given |= fit_options(arguments)
+    given = {"candidates": candidates, "effects": candidates or []} | fit_options(arguments)
+    given |= {"significance": arguments.significance, "matters": arguments.matters}
     return {key: given[key] for key in inspect.signature(ASKED[arguments.task]).parameters if key in given}
 
 

@@ -255,6 +255,12 @@ _OPTIONS: dict[str, dict[str, Any]] = {
         "metavar": "LEVEL",
         "help": "rate of false alarms if nothing is missing (default: %(default)s)",
     },
+    "--matters": {
+        "type": _share,
+        "metavar": "SHARE",
+        "help": "share of the spread of an output below which an error of the model does not matter "
+        "(default: 0.01)",
+    },
     "--max-effects": {**_NUMBER, "default": 4, "help": "maximum number of effects (default: %(default)s)"},
     "--model/survey": {
         "type": Path,
@@ -306,7 +312,7 @@ _Group = tuple[str, str]
 _COLUMNS: _Group = ("the record", "--input --output --time --dt --decimal --hold")
 _RECORD: _Group = ("the record", f"{_COLUMNS[1]} --validation|--split")
 _FIT = "--tolerance --no-offset --noise --horizon"
-_SEARCH: _Group = ("candidate effects", f"--candidates --free {_FIT} --significance")
+_SEARCH: _Group = ("candidate effects", f"--candidates --free {_FIT} --significance --matters")
 _PRINTED: _Group = ("output", "--picture --json")
 _OUTPUT: _Group = ("output", "--picture --json --report --overwrite")
 _FILES = "mass_spring_damper.toml mass_spring_damper.csv"

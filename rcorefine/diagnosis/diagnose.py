@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
 
 from ..arguments import as_number, as_share
 from ..data.measurement import Measurement
-from ..data.records import amplitude
+from ..data.records import amplitude, at_rest, stretches_by_level
 from ..data.response_record import in_frequency
 from ..effects.effect import Effect, as_effects
 from ..exceptions import IdentifiabilityWarning, own_arithmetic, unheard
@@ -27,23 +27,24 @@ from ..inference.fitted import FittedModel, coefficient_covariance
 from ..inference.levels import Levels, levels
 from ..inference.problem import descend
 from ..inference.refinement import Refinement
+from ..inference.search import starting_states
 from ..inference.sensitivities import candidate_columns
 from ..models.conversion import as_physical, under_control
 from ..progress import Progress
 from ..refinement.refine import base_fit
 from ..results import chance, with_error
 from ..systems.linear import Array
-from .case import Case, no_motion, not_excited, not_tried, with_recorded_inputs
+from .case import SHORTEST, Case, no_motion, not_excited, not_tried, with_recorded_inputs
 from .check import looks
 from .dead_sensors import without_dead_sensors
-from .error_shares import error_shares
+from .error_shares import error_shares, matter
 from .hypothesis import Trial
-from .improve import by_smaller_motion
 from .noise import is_drowned, left_to_noise
 from .nuisances import Hold, about_hold, with_fitting_priors, with_offsets
 from .open_law import open_force
 from .result import Diagnosis
-from .search import Search, is_gain
+from .search import MOST, Search, is_gain
+from .smaller_motion import by_smaller_motion
 from .verdict import Answer, TableRow, answer, close_enough, detectable, ranking, table, undetermined
 from .words import determined, numbers_that_moved, percent
 
@@ -51,14 +52,15 @@ _OTHER_AMPLITUDE = 1.3  # amplitude over that of another record
 
 
 def amplitude_test(fitted: FittedModel, added: int, levels: Levels) -> tuple[float, str]:
-    """Test whether records of different amplitude have the same coefficients.
+    """Test whether motions of different amplitude have the same coefficients.
 
-    An effect that only approximates the true one has other coefficients at another amplitude.
+    An effect that only approximates the true one has other coefficients at another amplitude. Several records
+    are compared with each other, a single one in its stretches of different excitation.
 
     Parameters
     ----------
     fitted : FittedModel
-        Model with the effects, on several records.
+        Model with the effects.
     added : int
         Number of tested effects, the last ones of the model.
     levels : Levels
@@ -71,14 +73,17 @@ def amplitude_test(fitted: FittedModel, added: int, levels: Levels) -> tuple[flo
     sentence : str
         Result of the comparison in words; empty without one.
     """
-    structure = fitted.structure
-    sizes = [amplitude(record) for record in fitted.problem.records]
+    structure, records = fitted.structure, fitted.problem.records
+    if len(records) == 1 and not at_rest(records):
+        stretches = (piece for _, piece in stretches_by_level(records[0]))
+        records = [piece for piece in stretches if piece.n_samples >= SHORTEST] or records
+    sizes = [amplitude(record) for record in records]
     low, high = int(np.argmin(sizes)), int(np.argmax(sizes))
     if sizes[high] <= _OTHER_AMPLITUDE * max(sizes[low], 1e-300):
         return 1.0, ""
     first = len(structure.effects) - added
     own = np.flatnonzero([q.effect >= first for q in structure.parameters])
-    (one, C1), (two, C2) = (_alone(fitted, i) for i in (low, high))
+    (one, C1), (two, C2) = (_alone(fitted, records[i]) for i in (low, high))
     spread = np.diag((levels.same_value * fitted.theta[own]) ** 2)
     p_value = wald((one - two)[own], (C1 + C2)[np.ix_(own, own)] + spread)
     p, name = own[0], structure.effects[first].label
@@ -90,14 +95,13 @@ def amplitude_test(fitted: FittedModel, added: int, levels: Levels) -> tuple[flo
     return p_value, sentence
 
 
-def _alone(fitted: FittedModel, record: int) -> tuple[Array, Array]:
+def _alone(fitted: FittedModel, record: Any) -> tuple[Array, Array]:
     """Return coefficients and covariance, estimated from one record alone."""
-    whole = fitted.problem
-    theta, starts = whole.unpack(fitted.point)
-    problem = whole.like(records=[whole.records[record]])
-    whitener = whole.whitener([fitted.residuals()[record]])
-    point = problem.pack(theta, starts[record : record + 1])
-    run = descend(problem, point, whitener=whitener, evaluations=15, tolerance=1e-8)
+    theta, _ = fitted.problem.unpack(fitted.point)
+    problem = fitted.problem.like(records=[record])
+    run = descend(problem, problem.pack(theta, starting_states(problem, theta)), evaluations=15)
+    whitener = problem.whitener([residual for residual, _ in run.blocks(problem)])  # the noise of this record
+    run = descend(problem, run.point, whitener=whitener, evaluations=15, tolerance=1e-8)
     C = coefficient_covariance(problem, run.blocks(problem), whitener)
     return problem.unpack(run.point)[0].copy(), C
 
@@ -228,9 +232,70 @@ def diagnose(
     >>> found.verdict
     'adequate'
     """
+    with own_arithmetic(), unheard(IdentifiabilityWarning), Progress(progress, executor) as steps:
+        return investigate(
+            model, data, candidates=candidates, validation=validation, free=free, tolerance=tolerance,
+            offset=offset, noise=noise, horizon=horizon, significance=significance, matters=matters,
+            effort=effort, controller=controller, steps=steps,
+        ).found  # fmt: skip
+
+
+class Investigation(NamedTuple):
+    """A diagnosis with what it rests on.
+
+    Attributes
+    ----------
+    found : Diagnosis
+        Diagnosis.
+    case : Case
+        Initial model, records without dead sensors, and settings.
+    model : StateSpace, PhysicalModel or Refinement
+        Initial model, with the channels of the case.
+    validation : Measurement or None
+        Validation data with these channels.
+    """
+
+    found: Diagnosis
+    case: Case
+    model: Any
+    validation: Measurement | None
+
+
+def investigate(
+    model: Any,
+    data: Measurement | Sequence[Measurement],
+    *,
+    candidates: Sequence[Effect] | None,
+    validation: Measurement | None,
+    significance: float,
+    matters: float | None,
+    effort: float,
+    controller: ct.StateSpace | None,
+    steps: Progress,
+    most: int = MOST + 1,
+    **options: Any,
+) -> Investigation:
+    """Diagnose a model and return the case, too.
+
+    Parameters
+    ----------
+    model, data, candidates, validation, significance, matters, effort, controller
+        As in `diagnose`.
+    steps : Progress
+        Progress display.
+    most : int
+        Maximum number of effects.
+    **options
+        free, tolerance, offset, noise and horizon as in `diagnose`.
+
+    Returns
+    -------
+    Investigation
+    """
     significance = as_share(significance, "significance")
     effort = as_number(effort, "effort", least=0.0)
     matters = levels().matters if matters is None else as_number(matters, "matters", least=0.0)
+    noise, horizon = options["noise"], options["horizon"]
     given = as_data(data, horizon=horizon, noise=noise, controller=controller)
     model = seen = under_control(model, controller, data)
     added: tuple[str, ...] = ()
@@ -240,38 +305,36 @@ def diagnose(
         model, added = with_recorded_inputs(model, [*given, *([] if validation is None else [validation])])
     if validation is not None:
         check_validation(model, validation)
-    options: dict[str, Any] = {"free": free, "tolerance": tolerance, "offset": offset}
-    options |= {"noise": noise, "horizon": horizon}
     check_settings(as_physical(model), **options)
     live, silent = given, tuple[str, ...]()
     watched = without_dead_sensors(model, given)
     if watched is not None:
         model, live, silent = watched.model, [watched.record(one) for one in given], watched.said
         options["noise"] = watched.noise(noise)
+        free = options["free"]
         entries = [free] if isinstance(free, Effect) else free
         options["free"] = free if isinstance(free, str) else watched.effects(entries)
         candidates = None if candidates is None else watched.effects(candidates)
         validation = None if validation is None else watched.record(validation)
     records = spread_lines(live)
-    with own_arithmetic(), unheard(IdentifiabilityWarning), Progress(progress, executor) as steps:
-        with steps.step("model as it is"):
-            base = base_fit(model, records, **options)
-        with steps.step("what is odd"):
-            odd = () if in_frequency(records) else looks(seen, given, horizon)
-        asked = options | {
-            "candidates": None if candidates is None else tuple(candidates),
-            "matters": matters,
-        }
-        case = Case(base, records, candidates, asked, significance, steps, effort)
-        found = by_smaller_motion(_ask_twice(case, validation), case, model)
-        said = about_noise(base.physical_model, records, live)
-        return replace(found, checks=odd, records=tuple(live), notes=(*added, *silent, *found.notes, *said))
+    with steps.step("model as it is"):
+        base = base_fit(model, records, **options)
+    with steps.step("what is odd"):
+        odd = () if in_frequency(records) else looks(seen, given, horizon)
+    asked = options | {"candidates": None if candidates is None else tuple(candidates), "matters": matters}
+    case = Case(base, records, candidates, asked, significance, steps, effort)
+    if not most:
+        return Investigation(Diagnosis("unexplained", **case.about), case, model, validation)
+    found = by_smaller_motion(_ask_twice(case, validation, most), case, model)
+    said = about_noise(base.physical_model, records, live)
+    found = replace(found, checks=odd, records=tuple(live), notes=(*added, *silent, *found.notes, *said))
+    return Investigation(found, case, model, validation)
 
 
 _WHOLE = 1.3  # rms error of the whole free run over that of the windows, within which no window is needed
 
 
-def _ask_twice(case: Case, validation: Measurement | None) -> Diagnosis:
+def _ask_twice(case: Case, validation: Measurement | None, most: int) -> Diagnosis:
     """Return the diagnosis of a case, or of the same records seen otherwise.
 
     If nothing is named, there is an offset at each channel: nonlinear effects depend on the zero of a signal,
@@ -280,7 +343,7 @@ def _ask_twice(case: Case, validation: Measurement | None) -> Diagnosis:
     If nothing is missing in windows of an integrating model, whole free runs count, where they are as good:
     the free initial state of each window takes up what accumulates, a wrong gain among it.
     """
-    found, settings, records = ask(case, validation), case.settings, list(case.records)
+    found, settings, records = ask(case, validation, most), case.settings, list(case.records)
     again, base = settings, case.base
     if found.verdict == "unexplained":
         base = with_offsets(base, records, settings)
@@ -291,7 +354,7 @@ def _ask_twice(case: Case, validation: Measurement | None) -> Diagnosis:
     if base is case.base:
         return found
     other = Case(base, records, settings["candidates"], again, case.significance, case.progress, case.effort)
-    second = ask(other, validation)
+    second = ask(other, validation, most)
     best = second.best.refinement if second.best is not None else second.floated or second.base
     worse = again is not settings and np.any(best.rmse > _WHOLE * found.base.rmse)
     return found if second.verdict == "unexplained" or worse else second
@@ -302,7 +365,7 @@ _SETTLED = 10.0  # log evidence below the answer, within which coefficients get 
 _MATTERS = 0.2  # share of `Levels.off`: a smaller change may only compensate a wrong force law
 
 
-def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
+def ask(case: Case, validation: Measurement | None = None, most: int = MOST + 1) -> Diagnosis:
     """Diagnose a case.
 
     Parameters
@@ -311,6 +374,8 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
         Fitted model, records and candidate effects.
     validation : Measurement or None
         Validation data for the fits of the ranking.
+    most : int
+        Maximum number of effects of a set.
 
     Returns
     -------
@@ -320,7 +385,7 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
     if still:  # nothing moves in the records
         about = case.about | {"ambiguous": tuple(case.library), "notes": (still,)}
         return Diagnosis("ambiguous", **about)
-    search = Search(case).run()
+    search = Search(case, most).run()
     agreements: dict[Trial, tuple[float, str]] = {}
 
     def passed(trial: Trial) -> bool:
@@ -339,7 +404,7 @@ def ask(case: Case, validation: Measurement | None = None) -> Diagnosis:
         farther = not trial.hypothesis.ratio and missed[0] > (1.0 + case.levels.spoiled) * missed[1]
         if farther or not off:  # a missing effect does not increase the error of the free run
             return False
-        if len(case.records) > 1 and trial not in agreements:
+        if (len(case.records) > 1 or (case.in_time and not case.cut)) and trial not in agreements:
             agreements[trial] = amplitude_test(trial.model, len(trial.effects), case.levels)
         return agreements.get(trial, (1.0, ""))[0] >= case.levels.disagree
 
@@ -413,6 +478,8 @@ def _told(
     listed = _listed(search, rows, found, about["base"])
     if word == "unexplained" and not listed[0].hypothesis.ratio:
         about["error_shares"] = error_shares(listed[0].tested, search.tests(listed[0]), case.significance)
+        if about["error_shares"] and not matter(about["error_shares"], case.levels.matters):
+            about["adequate_to"] = max(one.model for one in about["error_shares"])
     tied = [set(row.effects) for row in (found.row, *found.ties)]
     alike = [word != "unexplained" and set(one.effects) in tied for one in listed]
     names = {frozenset(row.effects): row.same for row in rows}

@@ -456,7 +456,7 @@ class Improvement(ReportedModel):
     steps : tuple of Step
         The start, then one row per effect that earned its place.
     verdict : str
-        Verdict on the last model: "adequate", or why the improvement ends.
+        Verdict on the last model: "adequate", or "unexplained" where `diagnose` names nothing.
     message : str
         Why it ended, in words.
     output_labels, output_units : tuple of str
@@ -468,6 +468,8 @@ class Improvement(ReportedModel):
     error_shares : tuple of ErrorShare
         What the last model leaves of each output on the held-out data, and how much of that is no noise.
         Empty for frequency responses.
+    diagnosis : Diagnosis or None
+        Diagnosis of the same records, which chose the set: verdict, ranking and tests.
     """
 
     steps: tuple[Step, ...]
@@ -478,6 +480,7 @@ class Improvement(ReportedModel):
     notes: tuple[str, ...] = ()
     checks: tuple[CheckRow, ...] = ()
     error_shares: tuple[ErrorShare, ...] = ()
+    diagnosis: Diagnosis | None = None
 
     @property
     def refinement(self) -> Refinement:

@@ -422,10 +422,15 @@ class Search:
         """Fit sets of effects with the parameters; refit the best four longer."""
         base, tasks = self.base(self.opened), []
         for screen in screens:
-            usable = screen.beam(
-                min(MOST, self.most), True, self.price, usable=lambda g: self.is_open(g.effect)
-            )
-            for _, groups in [one for one in usable if one[1]][:_SETS]:
+            # an effect that parameters hide is seen beside them only, alone as well as in sets
+            every = [
+                [
+                    groups
+                    for _, groups in screen.beam(n, True, self.price, usable=lambda g: self.is_open(g.effect))
+                ]
+                for n in (min(MOST, self.most), 1)
+            ]
+            for groups in [own for ranked in every for own in list(filter(None, ranked))[:_SETS]]:
                 effects = tuple(g.effect for g in groups)
                 if self.first_time("set", frozenset(effects)):
                     start = screen.start(groups, bool(self.opened), base)
@@ -556,17 +561,21 @@ class Search:
         self.add(again)
 
     def _cores(self, trials: Iterable[Trial]) -> None:
-        """Fit subsets of trials with undetermined effects.
+        """Fit subsets and special cases of trials with undetermined effects.
 
-        These are the determined effects, and all effects but one of the undetermined ones.
+        The subsets are the determined effects, and all effects but one of the undetermined ones.
         """
         for trial in trials:
-            if len(trial.effects) < 2 or self.determined(trial):
+            if not trial.effects or self.determined(trial):
+                continue
+            for i, other in self._special_cases(trial):  # a shape that the data leave open is a simpler law
+                self._special_case(trial, i, other)
+            if len(trial.effects) < 2:
                 continue
             sure = np.array(trial.surest) >= self.case.levels.moved
             self._without(trial, np.flatnonzero(sure))
-            for i in np.flatnonzero(~sure):
-                self._without(trial, np.delete(np.arange(len(sure)), i))
+            for k in np.flatnonzero(~sure):
+                self._without(trial, np.delete(np.arange(len(sure)), k))
 
     def _prune(self) -> None:
         """Refit the best set without each of its effects.
@@ -587,11 +596,7 @@ class Search:
         for _ in range(2):
             best = self.best
             here = best.start
-            places: dict[str, list[int]] = {}
-            for i, effect in enumerate(best.effects):
-                places.setdefault(effect.place, []).append(i)
-            alone = [[i] for i in range(len(best.effects))]
-            for gone in [*alone, *(members for members in places.values() if len(members) > 1)]:
+            for gone in _groups(best.effects):
                 for other, values in self._imitations(best, gone):
                     kept = [i for i in range(len(best.effects)) if i not in gone]
                     effects = (*(best.effects[i] for i in kept), other)
@@ -616,13 +621,20 @@ class Search:
             for _ in range(_ROUNDS):
                 before, least = self.best, self.posterior(self.best) - _RIVALS
                 for trial in [x for x in self.ranked() if self.posterior(x) > least][:_LEADERS]:
-                    for i, other in product(range(len(trial.effects)), self.library):
-                        if other.place == trial.effects[i].place and other not in trial.effects:
-                            if other.kind in trial.effects[i].spec.special_cases:
-                                self._special_case(trial, i, other)
+                    for i, other in self._special_cases(trial):
+                        self._special_case(trial, i, other)
                 self.polish()
                 if self.best is before:
                     return
+
+    def _special_cases(self, trial: Trial) -> list[tuple[int, Effect]]:
+        """Return the special cases of each effect of a trial, with its position."""
+        return [
+            (i, other)
+            for (i, effect), other in product(enumerate(trial.effects), self.library)
+            if other.place == effect.place and other.kind in effect.spec.special_cases
+            if other not in trial.effects
+        ]
 
     def _special_case(self, trial: Trial, i: int, other: Effect) -> None:
         """Fit a trial with a special case of one of its effects.
@@ -644,6 +656,23 @@ class Search:
         start = replace(start, values=[*start.values[:i], values, *start.values[i + 1 :]])
         self.try_(effects, nuisances, [start], noise=trial.noise, evaluations=10)
 
+    def _one_signal_effect(self, trial: Trial, which: Sequence[int]) -> list[tuple[Effect, dict[str, float]]]:
+        """Return the linear effects of channels that may stand for several.
+
+        They start at the sum of the delays; the smoothing r(k) = a r(k-1) + (1 - a) y(k) delays a slow signal
+        by a / (1 - a) samples.
+        """
+        dt, seconds = self.case.motions[0].data.dt, 0.0
+        for i in which:
+            (c,), (value,) = trial.effects[i].spec.coefficients, trial.start.values[i].values()
+            seconds += value if c.unit_rule == "s" else value / (1.0 - value) * dt
+        key = ("name", trial.hypothesis.key, tuple(which))
+        return [
+            (other, dict.fromkeys(other.coefficients, seconds))
+            for other in self.case.library
+            if _of_channel(other) and _is_late(other) and not other.prior and self.first_time(*key, other)
+        ]
+
     def _at_other_ends(self, trial: Trial, i: int) -> list[tuple[Effect, dict[str, float]]]:
         """Return the same linear effect at the other channels.
 
@@ -664,7 +693,8 @@ class Search:
         """
         first, key = trial.effects[which[0]], trial.hypothesis.key
         if trial.force(which[0]) is None:
-            return self._at_other_ends(trial, which[0])
+            alone = len(which) == 1
+            return self._at_other_ends(trial, which[0]) if alone else self._one_signal_effect(trial, which)
         held = [e.kind for e in trial.effects if e.place == first.place]
         others = (
             other
@@ -767,9 +797,28 @@ class Search:
         return run_tests(trial.tested, scored, motions, len(rest) - len(scored), others)
 
 
+def _groups(effects: Sequence[Effect]) -> list[list[int]]:
+    """Return positions of effects that one other effect may replace.
+
+    These are each effect, those of a place, and the delays and lags of the channels: a delay and a smoothing
+    of a sensor look like the lag of an actuator.
+    """
+    places: dict[str, list[int]] = {}
+    for i, effect in enumerate(effects):
+        places.setdefault(effect.place, []).append(i)
+    late = [i for i, effect in enumerate(effects) if _is_late(effect)]
+    return [[i] for i in range(len(effects))] + [some for some in (*places.values(), late) if len(some) > 1]
+
+
 def _of_channel(effect: Effect) -> bool:
     """Return whether an effect is a linear one at an input or an output."""
     return bool(effect.spec.at_channel and effect.spec.linear)
+
+
+def _is_late(effect: Effect) -> bool:
+    """Return whether a channel follows its signal with a delay or a lag."""
+    rules = {coefficient.unit_rule for coefficient in effect.spec.coefficients}
+    return effect.spec.at_channel and (rules == {"s"} or (rules == {"1"} and effect.spec.inner_states > 0))
 
 
 def _of_signals(effect: Effect) -> bool:

@@ -13,7 +13,7 @@ from ..inference.levels import levels
 from ..inference.parameters import EstimatedParameter
 from ..inference.refinement import Refinement
 from ..results import chance, with_error
-from .error_shares import in_percent, matter
+from .error_shares import in_percent
 from .residual_tests import overall
 
 if TYPE_CHECKING:
@@ -90,13 +90,11 @@ def _left(found: Diagnosis) -> list[str]:
     worst = max(found.error_shares, key=lambda one: one.model)
     said = f"The free run leaves {in_percent(worst.share)} of the motion of {worst.output}: the error of the "
     said += f"model is at most {in_percent(worst.model)}"
-    least = found.settings["matters"]
-    open_ = found.verdict == "unexplained"
-    close = np.isfinite(found.adequate_to) or (open_ and not matter(found.error_shares, least))
+    least, close = found.settings["matters"], bool(np.isfinite(found.adequate_to))
     said += f", less than what matters ({in_percent(least)})" if close and worst.model <= least else ""
     said += f"; the step of the sensor is {in_percent(worst.step)}" if worst.step > 0 else ""
     enough = " It may serve in a simulation, although its effects may only imitate what is missing."
-    return [f"{said}.{enough if close and open_ else ''}"]
+    return [f"{said}.{enough if close and found.verdict == 'unexplained' else ''}"]
 
 
 def _other_names(found: Diagnosis) -> list[str]:
@@ -136,6 +134,10 @@ def _headline(found: Diagnosis) -> str:
     if np.isfinite(found.adequate_to) and not found.ranking:
         said = "This record shows no missing effect that matters"
         return f"{said}: the model is adequate to {in_percent(found.adequate_to)}."
+    if np.isfinite(found.adequate_to) and found.verdict == "unexplained":
+        return (
+            f"No candidate explains all, but {_best(found)} is adequate to {in_percent(found.adequate_to)}."
+        )
     if found.verdict == "parameters" and found.left_to_noise:
         return "With re-estimated parameters, the residual cannot be distinguished from colored noise."
     if found.floated is not None and far_numbers(determined(found.floated)):
