@@ -59,6 +59,8 @@ def structure(kind: str) -> tuple[Structure, np.ndarray]:
     place = "link1"
     if law.at_channel:
         place = (linear.input_labels if "input" in law.where else linear.output_labels)[0]
+    elif "entry" in law.where:
+        place = {"state_dependent_gain": "B[2,0]", "product_of_states": "A[2,1]"}[kind]
     elif "mechanical" not in law.where:
         model, place = ct.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), "x[0]"
     rng = np.random.default_rng(len(kind))

@@ -127,7 +127,7 @@ class Drag(PortLaw):
         return drag * v * abs(v)
 
 
-class OutputPlay(OutputLaw):
+class SensorSlack(OutputLaw):
     """Play in a sensor."""
 
     formula = "r follows y with play of +- gap"
@@ -177,7 +177,7 @@ def chain(n=1200, seed=0):
     [
         ("drag", "link1", Drag, [3.0]),
         ("backlash", "link2", Backlash, [40.0, 0.01]),
-        ("output_play", "v1", OutputPlay, [0.04]),
+        ("sensor_slack", "v1", SensorSlack, [0.04]),
     ],
 )
 def test_derivatives_of_a_law_with_and_without_memory(kind, place, law, theta):

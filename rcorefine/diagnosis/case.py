@@ -240,8 +240,11 @@ def not_held(candidates: Sequence[Effect], held: Sequence[Effect]) -> list[Effec
 
 
 def not_tried(physical: PhysicalModel, library: Sequence[Effect], records: Sequence[Any]) -> str:
-    """Name the effects that fit the model and are tried only on request."""
-    kinds = [name for name, law in KINDS.items() if law.on_request and not law.needs_law]
+    """Name the effects that fit the model and are tried only on request.
+
+    Other parameters are no effects that it lacks.
+    """
+    kinds = [name for name, law in KINDS.items() if not law.needs_law and not law.is_parameter]
     fitting = seen_in(physical, effect_library(physical, kinds=kinds), records, asked=False)
     names = sorted({effect.kind for effect in fitting} - {effect.kind for effect in library})
     if not names:

@@ -167,7 +167,8 @@ def diagnose(
         Validation data for `fit_before` and `fit_after` of the ranking.
     free, tolerance, offset, noise, horizon
         As in `refine`: free parameters of the linear model, declared sensor noise, and length of the
-        simulations (free runs). Parameters that are a few percent wrong need no tolerance: the verdict
+        simulations (free runs). ``free="linear"`` changes nothing here: the search re-estimates all
+        parameters. Parameters that are a few percent wrong need no tolerance: the verdict
         "parameters" covers them. Parameters that are free from the start make weak effects harder to find.
         Example: cubic springs that cost 1 % of the output, at 3 % noise. With tolerance 0, 5 of 5 were named
         or tied; with tolerance 0.05, 3 of 5.
@@ -306,14 +307,15 @@ def investigate(
     if validation is not None:
         check_validation(model, validation)
     check_settings(as_physical(model), **options)
+    if isinstance(options["free"], str):  # all parameters: the search re-estimates them, with priors
+        options["free"] = ()
     live, silent = given, tuple[str, ...]()
     watched = without_dead_sensors(model, given)
     if watched is not None:
         model, live, silent = watched.model, [watched.record(one) for one in given], watched.said
         options["noise"] = watched.noise(noise)
         free = options["free"]
-        entries = [free] if isinstance(free, Effect) else free
-        options["free"] = free if isinstance(free, str) else watched.effects(entries)
+        options["free"] = watched.effects([free] if isinstance(free, Effect) else free)
         candidates = None if candidates is None else watched.effects(candidates)
         validation = None if validation is None else watched.record(validation)
     records = spread_lines(live)
@@ -478,7 +480,8 @@ def _told(
     listed = _listed(search, rows, found, about["base"])
     if word == "unexplained" and not listed[0].hypothesis.ratio:
         about["error_shares"] = error_shares(listed[0].tested, search.tests(listed[0]), case.significance)
-        if about["error_shares"] and not matter(about["error_shares"], case.levels.matters):
+        close = about["error_shares"] and not matter(about["error_shares"], case.levels.matters)
+        if close and search.determined(listed[0]):
             about["adequate_to"] = max(one.model for one in about["error_shares"])
     tied = [set(row.effects) for row in (found.row, *found.ties)]
     alike = [word != "unexplained" and set(one.effects) in tied for one in listed]

@@ -693,8 +693,9 @@ class Search:
         """
         first, key = trial.effects[which[0]], trial.hypothesis.key
         if trial.force(which[0]) is None:
-            alone = len(which) == 1
-            return self._at_other_ends(trial, which[0]) if alone else self._one_signal_effect(trial, which)
+            if len(which) > 1 and all(_is_late(trial.effects[i]) for i in which):
+                return self._one_signal_effect(trial, which)
+            return self._at_other_ends(trial, which[0])
         held = [e.kind for e in trial.effects if e.place == first.place]
         others = (
             other

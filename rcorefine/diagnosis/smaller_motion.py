@@ -115,9 +115,7 @@ def case_of_part(
     part : Case
         With offsets at all channels.
     """
-    # if all parameters are free, they get priors in the search; the widest is 100 %
-    free = () if isinstance(case.settings["free"], str) else case.settings["free"]
-    start = base_fit(model, records, free=free, **settings)
+    start = base_fit(model, records, free=case.settings["free"], **settings)
     asked = settings | {"free": (), "matters": case.levels.matters}
     library = not_held(case.library, start.effects)
     base = with_offsets(start, records, asked)

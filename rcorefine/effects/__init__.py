@@ -10,7 +10,7 @@ from .formula import InputLaw, OutputLaw, PortLaw
 from .law import KINDS, Coefficient, register
 
 # the order in which laws are listed to people
-from . import springs, dampers, friction, bodies, channels, given, right_hand_side  # noqa: F401, isort: skip
+from . import springs, dampers, friction, bodies, products, channels, given, right_hand_side  # noqa: F401, isort: skip
 from .given import Table  # isort: skip
 
 __all__ = ["KINDS", "Coefficient", "InputLaw", "OutputLaw", "PortLaw", "Table", "register"]

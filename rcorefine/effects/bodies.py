@@ -23,7 +23,8 @@ _PACES = (1.0, 4.0, 0.25)  # time constants, over that of the motion
 class MaxwellElement(AbsorbedLaw):
     """Spring and damper in series."""
 
-    where = frozenset(["mechanical"])
+    where = frozenset(["first_order", "mechanical"])
+    of_speeds = True
     coefficients = (
         positive("stiffness", "force/position", "its spring"),
         positive("time_constant", "s", "time in which its force fades, damper over spring", shapes=True),

@@ -439,6 +439,26 @@ class OutputSmoothing(OutputLaw):
 
 
 @register
+class OutputPlay(OutputLaw):
+    """Backlash before a sensor: inside the gap its reading does not move on."""
+
+    coefficients = (positive("gap", "signal", "play on either side", shapes=True),)
+    formula = "r follows y with play of +- gap, y -> r"
+    explanation = "The sensor {place} has play: it follows only a gap after the motion has turned."
+    of_displacements = True
+
+    @staticmethod
+    def law(y, z_start, gap):  # type: ignore[no-untyped-def]
+        """Formula."""
+        r = min(max(z_start, y - gap), y + gap)
+        return r, r
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Gaps in shares of the motion."""
+        return [{"gap": q * float(np.ptp(seen.signal))} for q in (0.01, 0.05, 0.15)]
+
+
+@register
 class OutputCurvature(OutputLaw):
     """Sensor with a curved characteristic."""
 

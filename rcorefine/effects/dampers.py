@@ -69,23 +69,55 @@ class ThresholdFlow(PortLaw):
 
 
 @register
-class CarriedFlow(PortLaw):
-    """Flow that an input carries away."""
+class CurvedLoss(PortLaw):
+    """Loss that grows faster on one side of zero."""
+
+    where = frozenset(["first_order"])
+    coefficients = (Coefficient("curvature", "force/velocity^2", explanation="force per squared state"),)
+    formula = "f = t v^2"
+    explanation = "The loss at {place} is curved: it grows faster on one side of zero than on the other."
+    words = ("curved {loss}", "The {loss} at {place} grows faster on one side of zero than on the other.")
+
+    @staticmethod
+    def law(v, curvature):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return curvature * v * v
+
+
+@register
+class ExponentialLoss(PortLaw):
+    """Diode."""
 
     where = frozenset(["first_order"])
     coefficients = (
-        Coefficient("flow", "force/velocity/signal", explanation="flow per unit of state and input"),
+        Coefficient("flow", "force", explanation="what flows on the side that blocks"),
+        Coefficient(
+            "scale",
+            "velocity",
+            default_start=None,
+            shapes=True,
+            explanation="state that multiplies the flow by e; its sign is the side that conducts",
+        ),
     )
-    constants = MappingProxyType({"input": 1.0})
-    formula = "f = t w v, w the input numbered `input` from 1"
-    explanation = "An input carries the content of {place} away: a flow times a temperature or a level."
-    belongs_to = "damping"
-    on_request = True  # which input carries it, nobody can guess
+    formula = "f = t sgn(s) (exp(v/s) - 1)"
+    explanation = "The loss at {place} grows exponentially on one side: a diode, a junction."
+    words = ("exponential {loss}", "The {loss} at {place} grows exponentially on one side, as at a diode.")
+    domains = frozenset(["first_order", "current", "voltage"])
+    resists = True
 
     @staticmethod
-    def law(v, w, flow, input):  # type: ignore[no-untyped-def]
+    def law(v, flow, scale):  # type: ignore[no-untyped-def]
         """Formula."""
-        return flow * w[int(input) - 1] * v
+        return flow * math.copysign(math.exp(min(v / scale, 40.0)) - 1.0, v)
+
+    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
+        """A flow that has one direction has no side that blocks."""
+        return not one_way
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Shares of the largest value on either side."""
+        sides = float(seen.v.max()), float(seen.v.min())
+        return [{"scale": q * side} for q in (0.15, 0.4) for side in sides if side]
 
 
 @register
@@ -139,6 +171,7 @@ class Damping(AbsorbedLaw):
 class AsymmetricDamping(PortLaw):
     """Damper of two rates."""
 
+    where = frozenset(["first_order", "mechanical"])
     coefficients = (
         Coefficient("damping_plus", "force/velocity", explanation="damping where v > 0"),
         Coefficient("damping_minus", "force/velocity", explanation="damping where v < 0"),
@@ -151,6 +184,7 @@ class AsymmetricDamping(PortLaw):
         "asymmetric {loss}",
         "The {loss} at {place} differs between the two directions of the {state}, as at a valve or a diode.",
     )
+    of_speeds = True
     covers = ("damping",)
     contains = MappingProxyType({"damping": {}})
 

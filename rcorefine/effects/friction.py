@@ -90,6 +90,8 @@ class SmoothFriction(PortLaw):
 class AsymmetricFriction(PortLaw):
     """Dry friction of two levels."""
 
+    where = frozenset(["first_order", "mechanical"])
+    of_speeds = True
     coefficients = (
         Coefficient("force_plus", "force", explanation="friction force where v > 0"),
         Coefficient("force_minus", "force", explanation="friction force where v < 0 (positive = resistance)"),
@@ -124,6 +126,8 @@ class AsymmetricFriction(PortLaw):
 class StribeckFriction(PortLaw):
     """Dry friction that is higher at breakaway."""
 
+    where = frozenset(["first_order", "mechanical"])
+    of_speeds = True
     coefficients = (
         Coefficient("coulomb_force", "force", lower=0.0, explanation="friction force at high speed"),
         Coefficient("static_force", "force", lower=0.0, explanation="friction force at breakaway"),

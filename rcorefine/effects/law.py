@@ -118,7 +118,7 @@ class Law:
         Name, as in ``Effect("coulomb_friction", "link2")``: that of the class.
     where : frozenset of str
         Kinds of places: ``"mechanical"``, ``"first_order"`` (ports),
-        ``"input"``, ``"output"`` (channels), ``"any"`` (an entry of A, or any port).
+        ``"input"``, ``"output"`` (channels), ``"entry"`` (of A or B), ``"any"`` (an entry, or any port).
     coefficients : tuple of Coefficient
         Numbers to estimate.
     constants : mapping
@@ -190,6 +190,10 @@ class Law:
         Whether it is a fault of the record as a whole, which `diagnose` asks for itself.
     one_signed : bool
         Whether it is looked for only at an input that never changes its sign.
+    of_speeds : bool
+        Whether it is looked for only at speeds, where the place is a state of its own.
+    of_displacements : bool
+        Whether it is looked for only at an output that reads a displacement.
     of_differences : str
         Coefficient that is the sample interval where the output is a rate, worked out from differences of
         samples: `diagnose` asks for that itself. "" for none.
@@ -236,6 +240,8 @@ class Law:
     drifts: ClassVar[tuple[str, ...]] = ()
     of_record: ClassVar[bool] = False
     one_signed: ClassVar[bool] = False
+    of_speeds: ClassVar[bool] = False
+    of_displacements: ClassVar[bool] = False
     of_differences: ClassVar[str] = ""
     signal: ClassVar[str] = ""
 

@@ -124,8 +124,11 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
         C[:, i, state] = 1.0
     C, D, G = (rows * into.output_gain[:, :, None] for rows in (C, D, G))
     D[:, :, nw] += into.output_offset
-    A, B, E = (into.pace[:, None, None] * part for part in (A, B, E))
     sense = np.concatenate([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ into.Uw], axis=2)
+    for j in filter(structure.fills, range(structure.n_ports)):  # what fills a store
+        velocity = P[structure.n_ports + j, :n]
+        sense[:, j] = velocity @ np.concatenate([A, B], axis=2) / -(E[:, :, j] @ velocity)[:, None]
+    A, B, E = (into.pace[:, None, None] * part for part in (A, B, E))
     if model.operating_point is not None:
         _make_absolute(structure, points, into.output_gain, P, Matrices(A, B, E, C, D, G, sense))
     if field is not None:  # it takes the states and what the inputs become
@@ -237,7 +240,8 @@ def _ports(
     for row, index in enumerate(structure.port_effects):
         port = structure.model.port(structure.effects[index].place)
         E[:, :n0, row] = np.outer([one.get(port.name, 1.0) for one in scales], port.act)
-        P[row, :n0], P[row, n:] = port.position, port.position_input
+        if not structure.fills(row):
+            P[row, :n0], P[row, n:] = port.position, port.position_input
         P[m + row, :n0], P[m + row, n:] = port.velocity, port.velocity_input
     return E, P
 

@@ -340,6 +340,13 @@ class Structure:
         """Indices of the effects that keep a port of their own."""
         return tuple(self._port_effects)
 
+    def fills(self, row: int) -> bool:
+        """Return whether a force law takes what fills a store.
+
+        It takes that in place of a displacement.
+        """
+        return "acceleration" in self.effects[self._port_effects[row]].spec.senses
+
     @cached_property
     def jumps(self) -> bool:
         """Return whether a force jumps with the sign of a velocity."""

@@ -95,6 +95,7 @@ def candidate_columns(
             not fitted.problem.in_time
             or law.secant
             or law.at_channel
+            or ("acceleration" in law.senses and not law.linear)
             or (fitted.structure.field is not None and not law.is_parameter)
         ):
             for ratio in ratios:
@@ -272,7 +273,8 @@ def force_responses(
     linear, data = structure.linear_model, fitted.problem.records[record]
     n, n0 = structure.n_states, linear.n_states
     names = list(dict.fromkeys(name for name, _ in forces))
-    if forced := {port.name for port in structure.model.ports}.issuperset(names):
+    places = {port.name for port in structure.model.ports}
+    if forced := not set(names) <= set(linear.input_labels) - places:
         ports = [structure.model.port(name) for name in names]
         pairs = [(port.act, felt(port, structure.model.output_rate)) for port in ports]
     else:

@@ -15,15 +15,18 @@ from ..effects.dampers import Damping
 from ..effects.domains import kind_named
 from ..effects.effect import Effect, as_effects
 from ..effects.law import KINDS, Law
+from ..effects.products import ProductOfStates, StateDependentGain
 from ..effects.right_hand_side import ModelParameter
 from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..systems.linear import Array
 from .conversion import as_physical
+from .displacements import is_companion
 from .physical_model import PhysicalModel
 from .ports import Port
 
-_MOST_ENTRIES = 20
+_MOST_ENTRIES, _MOST_PRODUCTS = 20, 6
+_ROUNDING = 1e-9
 _RATE = re.compile(r"speed|veloc|omega|rpm|tacho|_rate|rate_", re.IGNORECASE)
 _OF_RATES = {"m/s", "mm/s", "cm/s", "km/h", "rad/s", "deg/s", "rev/s", "rev/min", "rpm", "1/min"}
 _MOTIONS = ("mechanical", "rotational")
@@ -69,9 +72,12 @@ def effect_library(
     Left out unless asked for by `kinds`: springs between a mass and the ground where the model
     has neither spring nor another link at that mass; masses, hidden modes and constant
     forces between two masses; gravity where the displacement is no angle in rad by its unit or its name;
-    laws that need to know more than a model says (`cogging`, `magnetic_force`, `radiation`, `carried_flow`,
+    laws that need to know more than a model says (`cogging`, `magnetic_force`, `radiation`,
     `output_average`, `load_friction`, `play`, `input_play`, `input_rate_limit`); `custom` and tabulated laws
-    (which need a law); entries of A that a port explains.
+    (which need a law); entries of A that a port explains; friction of two levels or with a peak, a damper of
+    two rates and a Maxwell element at a state that is no speed by its unit or its name; `output_play` where
+    no displacement is read; gains and couplings that depend on the state (`state_dependent_gain`,
+    `product_of_states`) unless both sides are stores and few.
     Effects that act exactly alike are listed once, at the place whose parameter they change
     (in a series circuit, resistance at the resistor).
 
@@ -101,6 +107,7 @@ def effect_library(
         physical.entry(place)
 
     found = _at_ports(physical, asked) + _at_channels(physical, asked) + _at_entries(physical, asked, wanted)
+    found += _products(physical, asked)
     if asked is None or ModelParameter.name in asked:
         found += [Effect(q.kind, q.place) for q in physical.parameters if q.kind == ModelParameter.name]
     found = [effect for effect in found if wanted is None or effect.place in wanted]
@@ -233,6 +240,8 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
         return False
     if law.on_request:
         return False
+    if law.of_speeds and port.kind == "first_order" and port.domain not in _MOTIONS:
+        return False
     if port.modal:  # a change of its frequency or of its damping; other laws act at places
         return law.name in (Stiffness.name, Damping.name)
     # a body is one mass or store rather than what joins two
@@ -296,6 +305,11 @@ def _action(port: Port, law: Law) -> tuple[Any, ...]:
 
 def _at_channels(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effect]:
     linear = physical.linear
+    moved = np.zeros(linear.n_states, dtype=bool)
+    for port in physical.ports:
+        moved |= (port.position != 0) & (port.domain in _MOTIONS)
+    reads = linear.C.any(axis=1) & ~linear.C[:, ~moved].any(axis=1) & ~physical.output_rate.any(axis=1)
+    displacements = np.array(linear.output_labels)[reads].tolist()
     return [
         Effect(law.name, label)
         for channel, labels in (("input", linear.input_labels), ("output", linear.output_labels))
@@ -304,7 +318,33 @@ def _at_channels(physical: PhysicalModel, asked: Sequence[str] | None) -> list[E
         if channel in law.where
         and not law.needs_law
         and (not law.on_request if asked is None else law.name in asked)
+        and (asked is not None or not law.of_displacements or label in displacements)
     ]
+
+
+def _products(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effect]:
+    """Return the effects at entries of A and B that depend on the state.
+
+    Unless asked for, both sides are stores or inputs, and at most 6 of a kind are there: in a network every
+    coupling would be one.
+    """
+    linear, A = physical.linear, physical.linear.A
+    single = [p for p in physical.ports if p.kind == "first_order" and not _joins(p) and not p.modal]
+    store = np.any([p.act != 0 for p in single] or [np.zeros(len(A), dtype=bool)], axis=0)
+    if asked is not None:
+        store[:] = True
+    elif is_companion(A, _ROUNDING):
+        store[:] = False
+    coupled = (A != 0) & store[:, None] & store & ~np.eye(len(A), dtype=bool)
+    found = []
+    for kind, name, there in (
+        (StateDependentGain.name, "B", (linear.B != 0) & store[:, None]),
+        (ProductOfStates.name, "A", coupled),
+    ):
+        places = [f"{name}[{i},{j}]" for i, j in np.argwhere(there).tolist()]
+        if (len(places) <= _MOST_PRODUCTS) if asked is None else kind in asked:
+            found += [Effect(kind, place) for place in places]
+    return found
 
 
 def _at_entries(

@@ -221,8 +221,35 @@ class PhysicalModel(Result):
         for port in self.ports:
             if port.name == name:
                 return port
+        if name[:2] in ("A[", "B["):
+            return self._port_of_entry(name)
         known = ", ".join(port.name for port in self.ports) or "none"
         raise ModelError(f"model {self.name!r} has no port {name!r}; its ports are: {known}")
+
+    def _port_of_entry(self, place: str) -> Port:
+        """Return an entry of A or B as a port.
+
+        It acts on the state of its row, senses the signal of its column as a velocity, and as a displacement
+        that of the mass, or else the state on which it acts.
+        """
+        row, column = self.entry(place)
+        n, unit = self.linear.n_states, np.eye(self.linear.n_states + self.linear.n_inputs)
+        units = (*self.state_units, *self.input_units)
+        alone = (p for p in self.ports if p.has_position and (np.flatnonzero(p.act) == [row]).all())
+        moved = next(alone, None)
+        return Port(
+            place,
+            "first_order",
+            unit[row, :n],
+            moved.position if moved else unit[row, :n],
+            unit[column, :n],
+            position_input=moved.position_input if moved else unit[row, n:],
+            velocity_input=unit[column, n:],
+            position_unit=moved.position_unit if moved else units[row],
+            velocity_unit=units[column],
+            force_unit=combine_units("row/s", {"row": units[row]}),
+            description=f"entry {place} of the matrices",
+        )
 
     def entry(self, place: str) -> tuple[int, int]:
         """Return row and column of an entry of [A B; C D].

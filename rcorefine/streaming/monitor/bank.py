@@ -277,6 +277,8 @@ def _columns(
         v = np.concatenate([np.pad(port.velocity, pad), port.velocity_input])
         if law.inertial:
             v = np.concatenate([v[:n] @ A, v[:n] @ B + port.acceleration_input])
+        elif "acceleration" in law.senses:  # what fills a store
+            d = v[:n] @ np.hstack([A, B]) / -(v[:n] @ act)
         else:
             d = np.concatenate([np.pad(port.position, pad), port.position_input])
         if not law.signal:

@@ -1,0 +1,29 @@
+"""Effects that wrong parameters, open shapes and several small delays hide from the first look."""
+
+import pytest
+from hidden.coursework import coursework
+
+import rcorefine as rco
+from rcorefine.diagnosis.search import _groups, _is_late
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [52026, 52033])
+def test_what_is_hidden_beside_parameters_is_named(seed):
+    """A delay beside wrong R and L; a lag and friction, which a delay, a smoothing and Stribeck imitate."""
+    record = coursework(seed)
+    found = rco.diagnose(record.model, record.data)
+    assert found.verdict in ("effect", "ambiguous")
+    names = [{e.kind for e in row.effects} for r in found.ranking if r.alike for row in (r, *r.same)]
+    assert {one.kind for one in record.hidden} in names
+
+
+def test_delays_and_lags_of_channels_are_one_group():
+    effects = [
+        rco.Effect("coulomb_friction", "shaft"),
+        rco.Effect("input_delay", "u"),
+        rco.Effect("output_smoothing", "y"),
+        rco.Effect("output_saturation", "y"),
+    ]
+    assert [_is_late(effect) for effect in effects] == [False, True, True, False]
+    assert _groups(effects) == [[0], [1], [2], [3], [2, 3], [1, 2]]
