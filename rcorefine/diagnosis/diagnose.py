@@ -28,6 +28,7 @@ from ..inference.levels import Levels, levels
 from ..inference.problem import descend
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import candidate_columns
+from ..models.controller import Controller
 from ..models.conversion import as_physical, under_control
 from ..progress import Progress
 from ..refinement.refine import base_fit
@@ -135,7 +136,7 @@ def diagnose(
     significance: float = 0.01,
     matters: float | None = None,
     effort: float = 1.0,
-    controller: ct.StateSpace | None = None,
+    controller: Controller | ct.StateSpace | None = None,
     executor: Any = None,
     progress: bool | None = None,
 ) -> Diagnosis:
@@ -175,7 +176,7 @@ def diagnose(
     effort : float
         Number of refits of the search, in units of 120. If they are spent and the verdict is "unexplained",
         the notes say what was not tried.
-    controller : StateSpace or TransferFunction, optional
+    controller : Controller, StateSpace or TransferFunction, optional
         As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Executor that refits candidates in parallel. On the threads of a `ThreadPoolExecutor` the answer is

@@ -31,6 +31,7 @@ from ..inference.f_tests import FTest
 from ..inference.levels import levels
 from ..inference.refinement import Refinement
 from ..inference.whitening import Whitener
+from ..models.controller import Controller, completed
 from ..models.conversion import as_physical, under_control
 from ..models.operating_point import ordered_record
 from ..progress import Progress
@@ -77,7 +78,7 @@ def improve(
     significance: float = 0.01,
     matters: float | None = None,
     effort: float = 1.0,
-    controller: ct.StateSpace | None = None,
+    controller: Controller | ct.StateSpace | None = None,
     executor: Any = None,
     progress: bool | None = None,
 ) -> Improvement:
@@ -112,7 +113,7 @@ def improve(
         or below the rounding step of the sensor, does not matter even if a test finds it.
     effort : float
         Number of refits of each search, in units of 120, as in `diagnose`.
-    controller : StateSpace or TransferFunction, optional
+    controller : Controller, StateSpace or TransferFunction, optional
         As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Executor that refits candidates in parallel.
@@ -694,6 +695,7 @@ def _left(refinement: Refinement, record: Any, horizon: float | None) -> Array:
         if run.blew_up >= 0:
             raise DivergenceError("the model runs away")
         return np.asarray(ordered.outputs - run.outputs)
+    record = completed(refinement.physical_model, record)
     ordered = record_for(record, match_channels(refinement.physical_model.linear, record))
     with unheard(ExcitationWarning):  # the user did not choose the excitation of a part
         return np.atleast_2d(compare(refinement, ordered, horizon=horizon).residual)

@@ -70,8 +70,8 @@ def effect_library(
     has neither spring nor another link at that mass; masses, hidden modes and constant
     forces between two masses; gravity where the displacement is no angle in rad by its unit or its name;
     laws that need to know more than a model says (`cogging`, `magnetic_force`, `radiation`, `carried_flow`,
-    `output_average`, `load_friction`, `play`, `input_play`, `input_rate_limit`); `custom` and tabulated laws
-    (which need a law); entries of A that a port explains.
+    `output_average`, `load_friction`, `play`, `input_play`, `input_range`, `input_rate_limit`); `custom` and
+    tabulated laws (which need a law); entries of A that a port explains.
     Effects that act exactly alike are listed once, at the place whose parameter they change
     (in a series circuit, resistance at the resistor).
 
