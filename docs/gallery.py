@@ -62,7 +62,7 @@ def plant(sort):
 def values(effect, size, sort):
     """Coefficients: those that shape the law about the motion, the others of this size."""
     _, _, blank, _, d, v, signal = plant(sort)
-    if effect.kind == "output_range":
+    if effect.kind in ("input_range", "output_range"):
         return [-0.6 * size, size]
     if effect.kind == "input_power":
         return [1.0 + size, 0.6 * signal]
@@ -104,7 +104,7 @@ def sized(effect, sort):
         if abs(missed / LOSS - 1) < 0.25:
             return found, outputs
         ratio = LOSS / max(missed, 1e-12)
-        shrinks = effect.kind.endswith(("saturation", "rate_limit", "output_range"))
+        shrinks = effect.kind.endswith(("saturation", "rate_limit", "_range"))
         size *= float(np.clip(ratio ** (-0.5 if shrinks else 0.8), 0.05, 20))
     return None
 

@@ -37,6 +37,7 @@ from .models.builders import (
     thermal_network,
     two_tanks,
 )
+from .models.controller import Controller
 from .models.conversion import physical, ports
 from .models.library import describe_effects, effect_library
 from .models.modal_files import modal_model
@@ -56,6 +57,7 @@ __all__ = [
     "CheckRow",
     "Comparison",
     "Confirmation",
+    "Controller",
     "ConversionWarning",
     "DamageMap",
     "DataError",

@@ -68,6 +68,7 @@ TABLE = {
     "input_smoothing": ("input", ("time_constant",)),
     "input_deadzone": ("input", ("threshold",)),
     "input_saturation": ("input", ("limit",)),
+    "input_range": ("input", ("low", "high")),
     "output_gain": ("output", ("gain",)),
     "output_offset": ("output", ("offset",)),
     "output_delay": ("output", ("delay",)),

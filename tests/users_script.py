@@ -44,6 +44,7 @@ def door(model: rco.PhysicalModel, data: rco.Measurement) -> list[str]:
 def loop(model: rco.PhysicalModel, data: rco.Measurement, page: Path) -> rco.Refinement:
     """Compare, diagnose, refine, confirm, improve."""
     before: rco.Comparison = rco.compare([model, rco.black_box(data)], data)
+    servo: rco.Comparison = rco.compare(model, data, controller=rco.Controller(4.0, 0.05, (-1.0, 1.0)))
     found: rco.Diagnosis = rco.diagnose(model, data)
     better: rco.Refinement = rco.refine(model, data, [rco.Effect("coulomb_friction", "link1")])
     row: rco.EstimatedParameter = better.parameters[0]
@@ -56,7 +57,16 @@ def loop(model: rco.PhysicalModel, data: rco.Measurement, page: Path) -> rco.Ref
     response: rco.FrequencyResponse = data.frequency_response()
     found.report(page)
     print(
-        before.fit, row.value, again, ladder.verdict, run.outputs, levels, damage.named, fleet.rows, response
+        before.fit,
+        servo.fit,
+        row.value,
+        again,
+        ladder.verdict,
+        run.outputs,
+        levels,
+        damage.named,
+        fleet.rows,
+        response,
     )
     rco.explore(model, data).show()
     return better

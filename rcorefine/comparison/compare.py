@@ -20,8 +20,9 @@ from ..engine.observer import leading_ratio
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
 from ..inference.assembly import as_data
+from ..models.controller import Controller, completed
 from ..models.conversion import known_physical, under_control
-from ..models.operating_point import completed, ordered_record
+from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .failure_map.record import given_places
@@ -36,7 +37,7 @@ def compare(
     *,
     x0: str | Array | Sequence[float] = "estimate",
     horizon: float | None = None,
-    controller: ct.StateSpace | None = None,
+    controller: Controller | ct.StateSpace | None = None,
 ) -> Comparison: ...
 
 
@@ -54,7 +55,7 @@ def compare(
     *,
     x0: str | Array | Sequence[float] = "estimate",
     horizon: float | None = None,
-    controller: ct.StateSpace | None = None,
+    controller: Controller | ct.StateSpace | None = None,
 ) -> Comparison | FrequencyComparison | LevelComparison:
     """Simulate one or several models on a record and compare the outputs.
 
@@ -76,7 +77,7 @@ def compare(
         nearest. Default: the whole record; one tenth of it where a model integrates. A continuous
         model that is unstable has no free run: it is judged by what it predicts one sample ahead,
         with process noise (Kalman predictor). The same in `refine`, `diagnose` and `improve`.
-    controller : StateSpace or TransferFunction, optional
+    controller : Controller, StateSpace or TransferFunction, optional
         As in `refine`: the loop of this controller is simulated.
 
     Returns

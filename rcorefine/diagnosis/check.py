@@ -20,6 +20,7 @@ from ..engine.controlled import integrates
 from ..exceptions import DataError, DivergenceError, own_arithmetic, unheard
 from ..inference.levels import levels
 from ..inference.sensitivities import candidate_columns
+from ..models.controller import Controller
 from ..models.conversion import as_physical, known_physical, under_control
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
@@ -54,7 +55,7 @@ def check(
     data: Measurement,
     *,
     information: bool = True,
-    controller: ct.StateSpace | None = None,
+    controller: Controller | ct.StateSpace | None = None,
     effects: Sequence[Effect] | None = None,
 ) -> Check:
     """Check a record and a model before anything is concluded from them.
@@ -67,7 +68,7 @@ def check(
         Record; its channels are matched as in `compare`.
     information : bool
         Whether to work out the smallest effects that the record could show.
-    controller : StateSpace or TransferFunction, optional
+    controller : Controller, StateSpace or TransferFunction, optional
         As in `refine`: the controller under which the record was taken.
     effects : sequence of Effect, optional
         Effects of your own model. A row for each compares its size, given by ``start`` or ``fixed``, with the

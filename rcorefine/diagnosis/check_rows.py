@@ -17,7 +17,7 @@ from ..data.measurement import Measurement
 from ..data.records import clipped, coarse_noise, resolution
 from ..effects.effect import Effect
 from ..inference.whitening import Whitener, autoregression, innovations
-from ..models.operating_point import Controller, answer, unrecorded
+from ..models.controller import JoinedController, answer, unrecorded
 from ..results import Result, Row
 from ..systems.linear import Array, LinearModel
 
@@ -284,14 +284,16 @@ def sampling_rows(linear: LinearModel, data: Measurement, looped: bool = False) 
         )  # fmt: skip
 
 
-def controller_rows(controller: Controller, model: LinearModel, data: Measurement) -> Iterator[CheckRow]:
+def controller_rows(
+    controller: JoinedController, model: LinearModel, data: Measurement
+) -> Iterator[CheckRow]:
     """Check whether the controller reproduces the recorded inputs.
 
     The controller is fed with the record.
 
     Parameters
     ----------
-    controller : Controller
+    controller : JoinedController
         Around the model.
     model : LinearModel
         The model alone.
@@ -305,7 +307,7 @@ def controller_rows(controller: Controller, model: LinearModel, data: Measuremen
     """
     given, _ = answer(controller, model, data)
     A, _, C, _ = controller.at(data.dt)
-    if given is None or unrecorded(controller, model, data):
+    if given is None or unrecorded(controller.driven, model, data):
         return
     begun, x = np.zeros((data.n_samples, len(C), len(A))), np.eye(len(A))
     for k in range(data.n_samples):

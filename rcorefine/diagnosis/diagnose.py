@@ -29,6 +29,7 @@ from ..inference.problem import descend
 from ..inference.refinement import Refinement
 from ..inference.search import starting_states
 from ..inference.sensitivities import candidate_columns
+from ..models.controller import Controller
 from ..models.conversion import as_physical, under_control
 from ..progress import Progress
 from ..refinement.refine import base_fit
@@ -139,7 +140,7 @@ def diagnose(
     significance: float = 0.01,
     matters: float | None = None,
     effort: float = 1.0,
-    controller: ct.StateSpace | None = None,
+    controller: Controller | ct.StateSpace | None = None,
     executor: Any = None,
     progress: bool | None = None,
 ) -> Diagnosis:
@@ -180,7 +181,7 @@ def diagnose(
     effort : float
         Number of refits of the search, in units of 120. If they are spent and the verdict is "unexplained",
         the notes say what was not tried.
-    controller : StateSpace or TransferFunction, optional
+    controller : Controller, StateSpace or TransferFunction, optional
         As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Executor that refits candidates in parallel. On the threads of a `ThreadPoolExecutor` the answer is
@@ -271,7 +272,7 @@ def investigate(
     significance: float,
     matters: float | None,
     effort: float,
-    controller: ct.StateSpace | None,
+    controller: Controller | ct.StateSpace | None,
     steps: Progress,
     most: int = MOST + 1,
     **options: Any,

@@ -17,6 +17,7 @@ from ..exceptions import DivergenceError, ExcitationWarning, unheard
 from ..inference.levels import levels
 from ..inference.refinement import Refinement
 from ..inference.whitening import Whitener
+from ..models.controller import completed
 from ..models.operating_point import ordered_record
 from ..progress import Progress
 from ..refinement.refine import refit
@@ -219,6 +220,7 @@ def _left(refinement: Refinement, record: Any, horizon: float | None) -> Array:
         if run.blew_up >= 0:
             raise DivergenceError("the model runs away")
         return np.asarray(ordered.outputs - run.outputs)
+    record = completed(refinement.physical_model, record)
     ordered = record_for(record, match_channels(refinement.physical_model.linear, record))
     with unheard(ExcitationWarning):  # the user did not choose the excitation of a part
         return np.atleast_2d(compare(refinement, ordered, horizon=horizon).residual)

@@ -22,6 +22,7 @@ from ..exceptions import (
 )
 from ..inference.assembly import as_data
 from ..inference.refinement import Refinement
+from ..models.controller import Controller
 from ..progress import Progress
 from ..refinement.refine import refine
 from .case import common_horizon, not_held, split_in_parts
@@ -52,7 +53,7 @@ def improve(
     significance: float = 0.01,
     matters: float | None = None,
     effort: float = 1.0,
-    controller: ct.StateSpace | None = None,
+    controller: Controller | ct.StateSpace | None = None,
     executor: Any = None,
     progress: bool | None = None,
 ) -> Improvement:
@@ -88,7 +89,7 @@ def improve(
         or below the rounding step of the sensor, does not matter even if a test finds it.
     effort : float
         Number of refits of each search, in units of 120, as in `diagnose`.
-    controller : StateSpace or TransferFunction, optional
+    controller : Controller, StateSpace or TransferFunction, optional
         As in `refine`: the controller that was active during the measurement.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Executor that refits candidates in parallel.

@@ -200,6 +200,32 @@ class InputSaturation(InputLaw):
 
 
 @register
+class InputRange(InputLaw):
+    """Actuator with two limits."""
+
+    coefficients = (
+        Coefficient("low", "signal", explanation="least that acts", default_start=None),
+        Coefficient("high", "signal", explanation="most that acts", default_start=None),
+    )
+    signal = "saturation"
+    formula = "w -> min(max(w, low), high)"
+    explanation = "The input {place} has two limits: nothing below one and nothing above the other acts."
+    secant = True
+    on_request = True  # a limit of either direction, or an offset before it, says as much of most records
+    contains = MappingProxyType({"input_saturation": {}})
+
+    @staticmethod
+    def law(w, low, high):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return min(max(w, low), high)
+
+    def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
+        """Levels that the input passes in both directions, or in one."""
+        tails = (0.05, 0.95), (0.2, 0.8), (0.0, 0.85), (0.15, 1.0)
+        return [dict(zip(("low", "high"), np.quantile(seen.signal, q).tolist(), strict=True)) for q in tails]
+
+
+@register
 class InputPower(InputLaw):
     """Actuator that acts by a power of its command."""
 

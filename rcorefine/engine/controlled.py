@@ -75,6 +75,11 @@ def loop_gain(structure: Structure, dt: float) -> Array:
     return gain
 
 
+def closes_loop(structure: Structure, gain: Array | None) -> bool:
+    """Return whether a gain (n, n_y) on the output errors is that of a loop."""
+    return structure.model.controller is not None and gain is not None and bool(gain[structure.loop].any())
+
+
 def start_columns(structure: Structure, count: int) -> Array:
     """Return the derivatives (count, n) of the states at the start.
 

@@ -20,10 +20,11 @@ from ..exceptions import DivergenceError
 from ..gauss_newton import own_sizes
 from ..jit import NUMBA
 from ..systems.linear import Array
-from .controlled import sample_jumps, start_columns
+from .commands import Commands, commands, march_in_loop
+from .controlled import closes_loop, sample_jumps, start_columns
 from .inputs import BAND_LIMITED_FACTOR, Drive, InputSignal, clock_drift
 from .linear import Corrections, simulate_linear
-from .march import MarchResult, MarchState, march
+from .march import MarchResult, MarchState, address_of_march, march
 from .matrices import continuous_matrices
 from .setting import Setting, setting
 from .structure import Structure
@@ -194,9 +195,10 @@ class Engine:
         if lawless and not NUMBA:
             blew_up = simulate_linear(at.model.at, drive, observer, x, S, into)
         else:
-            blew_up = self._march(
-                at, drive, observer, MarchState(x, np.zeros(s.n_ports + s.n_outputs), S), into
-            )
+            loop, inner = commands(s, theta, self._signal, lead), np.zeros(s.n_ports + s.n_outputs)
+            if loop is not None:
+                inner = np.append(inner, np.full(s.n_outputs, np.nan))
+            blew_up = self._march(at, drive, observer, MarchState(x, inner, S), into, loop)
         if apart:
             SY = np.concatenate([SY, self._decay(at, theta, K, N if blew_up < 0 else blew_up)], axis=2)
         if blew_up >= 0 and check:
@@ -210,11 +212,16 @@ class Engine:
         return _trajectory(Yout - self._level, SY, X, F, blew_up)
 
     def _march(
-        self, at: Setting, drive: Drive, observer: Corrections, course: MarchState, into: MarchResult
-    ) -> int:
-        """March over the record."""
+        self, at: Setting, drive: Drive, observer: Corrections, course: MarchState, into: MarchResult,
+        loop: Commands | None,
+    ) -> int:  # fmt: skip
+        """March over the record, from sample to sample where a loop asks for it."""
         with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
-            blew_up: int = march(at.model, drive, observer, course, into)
+            if loop is None:
+                blew_up: int = march(at.model, drive, observer, course, into)
+            else:
+                given = at.model, drive.with_ends, observer, course, into, loop
+                blew_up = march_in_loop(address_of_march(), *given)
         raise_pending()
         return blew_up
 
@@ -238,6 +245,7 @@ class Engine:
         if gain is None:
             return self._nowhere, np.zeros((self.structure.n_states, shape[1]))
         flags = np.ones(shape, dtype=np.uint8) if use is None else use.astype(np.uint8)
+        flags *= np.uint8(2 if closes_loop(self.structure, gain) else 1)
         return flags, np.ascontiguousarray(gain, dtype=float)
 
     def judged(self, theta: Array) -> NDArray[np.bool_]:

@@ -63,6 +63,14 @@ class Drive(NamedTuple):
     driven: NDArray[np.int64]
 
     @property
+    def with_ends(self) -> Drive:
+        """Return the drive with both ends of each substep, without derivatives."""
+        W = self.W
+        if self.course < 2:
+            W = np.repeat(W, 2, axis=0) if self.course == 0 else np.repeat(W, 2, axis=0)[1:-1]
+        return self.held._replace(W=W, course=2)
+
+    @property
     def held(self) -> Drive:
         """Return the drive without its derivatives."""
         return self._replace(dW=self.dW[:0], dWout=self.dWout[:0], driven=self.driven[:0])
@@ -93,16 +101,16 @@ class InputSignal:
     ) -> None:
         self.inputs, self.dt, self.hold, self.substeps = inputs, dt, hold, substeps
         self.begin = begin
-        self._before = 0.0 if at_rest else 1.0  # over the first value
+        self.before = 0.0 if at_rest else 1.0  # over the first value
         n = inputs.shape[1]
         self._fine: Array | None = None
         if hold == "bandlimited":
             coarse = interpolate_band_limited(inputs, BAND_LIMITED_FACTOR)
             # straight lines between the nodes lose (omega h)^2 / 12 of a sinusoid: it is given back
             coarse[:, 1:-1] -= np.diff(coarse, 2) / 12.0
-            self._fine = _refine(coarse, substeps // BAND_LIMITED_FACTOR)
+            self._fine = straight_lines(coarse, substeps // BAND_LIMITED_FACTOR)
         elif hold == "foh":
-            self._fine = _refine(inputs, substeps)
+            self._fine = straight_lines(inputs, substeps)
         rows = n - 1
         held = np.repeat(inputs[:, :rows], substeps, axis=1) if self._fine is None else self._fine
         self._base = np.ascontiguousarray(np.vstack([held, np.ones((1, held.shape[1]))]).T)
@@ -166,7 +174,7 @@ class InputSignal:
         held = self._fine is None
         step = self.dt / (1 if held else self.substeps)
         lead = int(point is not None)
-        settled = lead + (self._before > 0)
+        settled = lead + (self.before > 0)
         if point is not None:  # laws see absolute values; before the record the input stood at the point
             level = point.inputs[channel]
             value = np.concatenate([[level], signal + level])
@@ -212,7 +220,7 @@ class InputSignal:
         step = self.dt / self.substeps
         grid = np.arange(signals.shape[1]) * step
         shifted = grid - delay + drift * (self.begin + grid)
-        at_nodes = np.array([np.interp(shifted, grid, s, left=self._before * s[0]) for s in signals])
+        at_nodes = np.array([np.interp(shifted, grid, s, left=self.before * s[0]) for s in signals])
         cell = np.clip(np.floor(shifted / step + 1e-9).astype(int), 0, len(grid) - 2)
         known = (shifted >= 0) & (shifted <= grid[-1])
         rate = np.where(known, np.diff(signals[0])[cell] / step, 0.0)
@@ -236,10 +244,10 @@ class InputSignal:
         means = np.empty((len(signals), edges.size - 1))
         for mean, signal in zip(means, signals, strict=True):
             integral = np.interp(edges, knots, np.concatenate([[0.0], np.cumsum(signal) * span]))
-            integral += np.minimum(edges, 0.0) * self._before * signal[0]
+            integral += np.minimum(edges, 0.0) * self.before * signal[0]
             integral += np.maximum(edges - knots[-1], 0.0) * signal[-1]
             mean[:] = np.diff(integral) / width
-        levels = np.hstack([self._before * signals[:, :1], signals])  # before, then of each
+        levels = np.hstack([self.before * signals[:, :1], signals])  # before, then of each
 
         def cell(when: Array) -> NDArray[np.int64]:
             return np.asarray(np.clip(np.floor(when / span + 1e-9), -1, size - 1) + 1, dtype=np.int64)
@@ -263,7 +271,7 @@ def _lines(means: Array) -> Array:
     return np.stack([1.5 * first - 0.5 * second, 1.5 * second - 0.5 * first], axis=-1).reshape(means.shape)
 
 
-def _refine(w: Array, factor: int) -> Array:
+def straight_lines(w: Array, factor: int) -> Array:
     """Linear interpolation of each row by an integer factor."""
     points = np.arange((w.shape[1] - 1) * factor + 1) / factor
     return np.stack([np.interp(points, np.arange(w.shape[1]), row) for row in w])

@@ -63,7 +63,8 @@ class Corrections(NamedTuple):
     measured : ndarray, shape (N, n_y)
         Measured outputs.
     use : ndarray of uint8, shape (N, n_y)
-        Which of them correct the states.
+        Which of them correct the states: 1 as an observer does, by the slope of the sensor's law; 2 as a
+        controller that reads it.
     gain : ndarray, shape (n, n_y)
         Observer gain.
     reset : ndarray, shape (n, n) or (0, 0)

@@ -91,8 +91,8 @@ class MarchState(NamedTuple):
     ----------
     x : ndarray, shape (n,)
         State.
-    z : ndarray, shape (m,) or (m + n_y,)
-        Inner states of the laws, those of outputs behind.
+    z : ndarray, shape (m,), (m + n_y,) or (m + 2 n_y,)
+        Inner states of the laws, those of outputs behind, and the outputs before (nan at first).
     S : ndarray, shape (p, n)
         Sensitivity of the state; p = 0 for none.
     """
@@ -225,9 +225,11 @@ def _room_for(model, course, samples, substeps):
                 for l in range(n):
                     by = at.M[grade, (i // felt) * n + l, n + 2 * nw + forces + j]
                     Q[grade, i, j] += at.P[i % felt, l] * by
-    past = np.zeros((2, ny))
-    if course.z.shape[0] > m:
-        put(past[1], 0, course.z[m:])
+    past = np.full((2, ny), np.nan)  # nothing is known of the outputs before
+    for i in range(ny):
+        past[1, i] = course.z[m + i] if course.z.shape[0] > m else 0.0
+        if course.z.shape[0] > m + ny:
+            past[0, i] = course.z[m + ny + i]
     return _Room(
         np.zeros((events, places[9])), np.zeros((events, 3), dtype=np.int64), places, flags, Q,
         np.zeros(forces), np.zeros((2, m)), past, np.zeros((stages, nf * (2 + ns + q))),
@@ -389,7 +391,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
             for i in range(ny):
                 y, slope = outputs[k, i], 1.0
                 if sensors.codes[i] != 0:
-                    if k == 0:
+                    if np.isnan(past[0, i]):
                         past[0, i] = y
                     put(w, 0, Wout[k])
                     evaluate(
@@ -398,6 +400,8 @@ def _integrate(model, drive, observer, course, into, room, begin):
                     if remembers:  # what is kept of this sample
                         past[0, i], past[1, i] = y, shown[i, 5]
                         z[m + i] = shown[i, 5]
+                        if z.shape[0] > m + ny:
+                            z[m + ny + i] = y
                     y, slope = shown[i, 0], shown[i, 1]
                     shown[i, 2] = shown[i, 17] = 0.0  # whether a signal is held has no derivative
                     outputs[k, i] = y
@@ -406,6 +410,8 @@ def _integrate(model, drive, observer, course, into, room, begin):
                 if not abs(y) <= far[i]:
                     blew_up = k
                     break
+                if use[k, i] == 2:  # a controller takes what the sensor shows
+                    slope = 1.0
                 flags[_FAR] = (flags[_FAR] and i > 0) or abs(y) > _OUTSIDE * far[i]
                 corrects = use[k, i] != 0 and slope != 0.0
                 if keep:

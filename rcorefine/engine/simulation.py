@@ -15,13 +15,14 @@ from ..data.measurement import Measurement
 from ..data.records import as_record
 from ..exceptions import DivergenceError, ModelError
 from ..gauss_newton import Rows, gauss_newton, own_sizes
-from ..models.conversion import as_model, under_control
-from ..models.operating_point import completed
+from ..models.controller import Controller, completed, held_effects
+from ..models.conversion import as_model, as_physical, known_physical, under_control
 from ..results import Data
 from ..systems.linear import Array, LinearModel
 from .controlled import loop_gain, own_states
 from .engine import Engine
 from .initial_state import estimate_initial_state
+from .inputs import interpolate_band_limited, straight_lines
 from .observer import leading_gain
 from .structure import Structure
 
@@ -68,11 +69,16 @@ def structure_of(model: Any) -> tuple[Structure, Array, int]:
     if known is not None:
         structure, theta, substeps = known()
         return structure, theta, substeps
-    return Structure(model), np.zeros(0), 1
+    physical = as_physical(model)
+    return Structure(physical, held_effects(physical)), np.zeros(0), 1
 
 
 def simulate(
-    model: Any, data: Measurement, x0: str | Array = "estimate", *, controller: ct.StateSpace | None = None
+    model: Any,
+    data: Measurement,
+    x0: str | Array = "estimate",
+    *,
+    controller: Controller | ct.StateSpace | None = None,
 ) -> Simulation:
     """Free run of a model over a record.
 
@@ -85,7 +91,7 @@ def simulate(
         those of the model are zero.
     x0 : {"estimate", "zero"} or ndarray of shape (n,)
         Initial state.
-    controller : StateSpace or TransferFunction, optional
+    controller : Controller, StateSpace or TransferFunction, optional
         As in `refine`: simulate the model in the loop of this controller. Driven by a reference from
         x0 = "zero" the result hangs on no output of the record.
 
@@ -138,6 +144,8 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
     if point is not None:
         data = data.deviation(point.inputs, point.outputs)
         start = None if start is None else start - (0.0 if isinstance(x0, str) else levels[1])
+    factor, steps = _finer(structure)
+    data, substeps = _on_finer_grid(data, factor), max(substeps, steps)
     if structure.field is not None and model is structure.model:
         substeps = _settled_steps(structure, data, start, led)
     engine = Engine(structure, data, substeps=substeps, initial=start, lead=_lead(structure, data, led))
@@ -145,7 +153,38 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
         start = estimate_initial_state(engine, theta)
     run = engine.run(theta, start, sensitivity=False, histories=True)
     outputs, states = run.outputs + levels[0][:, None], run.states + levels[1][:, None]
-    return Simulation(outputs, states[own], run.forces, (start + levels[1])[own])
+    at = slice(None, None, factor)
+    return Simulation(outputs[:, at], states[own][:, at], run.forces[:, at], (start + levels[1])[own])
+
+
+_FINER = 8  # parts of a sample in which a command that passes effects may change
+
+
+def _finer(structure: Structure) -> tuple[int, int]:
+    """Return into how many samples and substeps a sample is divided in a loop.
+
+    A continuous controller answers at each of these samples. Between those of a sampled one the edges of a
+    delayed command fall on substeps.
+    """
+    controller = structure.model.controller
+    if controller is None or not {at for _, at in structure.input_statics} & set(controller.driven):
+        return 1, 1
+    return (1, _FINER) if controller.sampled else (_FINER, 1)
+
+
+def _on_finer_grid(data: Measurement, factor: int) -> Measurement:
+    """Return the record with samples between its samples, as its hold says."""
+    if factor == 1:
+        return data
+    if data.hold == "bandlimited":
+        inputs = interpolate_band_limited(data.inputs, factor)
+    elif data.hold == "foh":
+        inputs = straight_lines(data.inputs, factor)
+    else:
+        inputs = np.repeat(data.inputs, factor, axis=1)[:, : 1 - factor]
+    times = straight_lines(data.timepts[None], factor)[0]
+    outputs = straight_lines(data.outputs, factor)
+    return data._changed(inputs=inputs, outputs=outputs, timepts=times, dt=data.dt / factor)
 
 
 def _lead(structure: Structure, data: Measurement, led: bool) -> Array | None:
@@ -196,10 +235,9 @@ def unjudged_samples(model: Any, data: Measurement) -> int:
 
     A model with a delay and a free initial state is undetermined there.
     """
-    known = getattr(model, "simulation_structure", None)
-    if known is None:  # a delay is an effect: linear models hold none
-        return 0
-    structure, theta, _ = known()
+    if not hasattr(model, "simulation_structure") and not held_effects(known_physical(model)):
+        return 0  # a delay is an effect: linear models hold none
+    structure, theta, _ = structure_of(model)
     return int(Engine(structure, data).judged(theta).argmax(axis=1).max(initial=0))
 
 

@@ -22,6 +22,7 @@ from ..effects.law import KINDS
 from ..engine.controlled import as_it_runs, checked_horizon, free_runs, integrates
 from ..engine.observer import leading_ratio
 from ..exceptions import ModelError
+from ..models.controller import HELD, held_effects
 from ..models.conversion import as_physical
 from ..models.operating_point import ordered_record
 from ..models.parameters import independent_parameters
@@ -38,7 +39,8 @@ def unfold(model: Any) -> tuple[PhysicalModel, list[tuple[Effect, str]]]:
     The effects start at their estimated values. Any other model has no effects yet.
     """
     if not isinstance(model, Refinement):
-        return as_physical(model), []
+        physical = as_physical(model)
+        return physical, [(effect, HELD) for effect in held_effects(physical)]
     kept = []
     structure, theta, _ = model.simulation_structure()
     for index, (effect, role) in enumerate(zip(model.effects, model.roles, strict=True)):

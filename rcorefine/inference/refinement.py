@@ -38,7 +38,7 @@ class Refinement(ReportedModel, CodeExports):
     effects : tuple of Effect
         Effects that were added, linear parameters and offsets included.
     roles : tuple of str
-        Role of each effect: "effect", "linear" or "offset".
+        Role of each effect: "effect", "linear", "offset", or "known" where the controller declares it.
     theta : ndarray, shape (p,)
         Coefficients in the order of `parameters`.
     parameters : tuple of EstimatedParameter

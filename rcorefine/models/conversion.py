@@ -19,9 +19,10 @@ from ..effects.right_hand_side import Field, ModelParameter, Remainder, RightHan
 from ..exceptions import ModelError
 from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array, LinearModel, realized
+from .controller import HELD, as_controller, unrecorded
 from .detection import recognized
 from .links import Declared, weighted
-from .operating_point import as_controller, as_operating_point, unrecorded
+from .operating_point import as_operating_point
 from .parameters import NominalParameter, combine_units
 from .physical_model import PhysicalModel
 from .ports import Port
@@ -216,14 +217,39 @@ def under_control(model: Any, controller: Any, data: Any) -> Any:
     model = as_model(model)
     physical = known_physical(model) if controller is None else as_physical(model)
     known = None if physical is None else physical.controller
+    records = data if isinstance(data, (list, tuple)) else [data]
     if controller is not None and physical is not None:
-        known = as_controller(controller, physical.linear)
+        known = as_controller(controller, physical.linear, records)
     if known is None or physical is None:
         return model
-    records = data if isinstance(data, (list, tuple)) else [data]
-    known = replace(known, recorded=not any(unrecorded(known, physical.linear, r) for r in records))
+    known = replace(known, recorded=not any(unrecorded(known.driven, physical.linear, r) for r in records))
     closed = replace(physical, controller=known)
-    return replace(model, physical_model=closed) if hasattr(model, "physical_model") else closed
+    if not hasattr(model, "physical_model"):
+        return closed
+    held = known.effects if controller is not None and hasattr(model, "roles") else None
+    return replace(model, physical_model=closed, **({} if held is None else _with_held(model, held)))
+
+
+def _with_held(model: Any, held: tuple[Effect, ...]) -> dict[str, Any]:
+    """Return the fields of a refinement under another controller.
+
+    Raises
+    ------
+    ModelError
+        If the refinement itself has an effect of the controller.
+    """
+    kept = [i for i, role in enumerate(model.roles) if role != HELD]
+    own = {(model.effects[i].kind, model.effects[i].place) for i in kept}
+    for effect in held:
+        if (effect.kind, effect.place) in own:
+            raise ModelError(
+                f"{effect.label} is an effect of the model and of the controller; leave it out of one of them"
+            )
+    return {
+        "effects": (*(model.effects[i] for i in kept), *held),
+        "roles": (*(model.roles[i] for i in kept), *[HELD] * len(held)),
+        "constants": {kept.index(i): width for i, width in model.constants.items()},
+    }
 
 
 def ports(model: ct.StateSpace | Any, *, dt: float | None = None) -> tuple[Port, ...]:

@@ -73,11 +73,11 @@ def effect_library(
     has neither spring nor another link at that mass; masses, hidden modes and constant
     forces between two masses; gravity where the displacement is no angle in rad by its unit or its name;
     laws that need to know more than a model says (`cogging`, `magnetic_force`, `radiation`,
-    `output_average`, `load_friction`, `play`, `input_play`, `input_rate_limit`); `custom` and tabulated laws
-    (which need a law); entries of A that a port explains; friction of two levels or with a peak, a damper of
-    two rates and a Maxwell element at a state that is no speed by its unit or its name; `output_play` where
-    no displacement is read; gains and couplings that depend on the state (`state_dependent_gain`,
-    `product_of_states`) unless both sides are stores and few.
+    `output_average`, `load_friction`, `play`, `input_play`, `input_range`, `input_rate_limit`); `custom` and
+    tabulated laws (which need a law); entries of A that a port explains; friction of two levels or with a
+    peak, a damper of two rates and a Maxwell element at a state that is no speed by its unit or its name;
+    `output_play` where no displacement is read; gains and couplings that depend on the state
+    (`state_dependent_gain`, `product_of_states`) unless both sides are stores and few.
     Effects that act exactly alike are listed once, at the place whose parameter they change
     (in a series circuit, resistance at the resistor).
 

@@ -18,7 +18,8 @@ from ..effects.effect import Effect
 from ..exceptions import ModelError
 from ..results import Result
 from ..systems.linear import Array, LinearModel, entry_of
-from .operating_point import Controller, OperatingPoint
+from .controller import JoinedController
+from .operating_point import OperatingPoint
 from .parameters import NominalParameter, combine_units
 from .ports import Port
 
@@ -52,7 +53,7 @@ class PhysicalModel(Result):
         How the inputs run between samples, where that is not as the records declare.
     operating_point : OperatingPoint, optional
         Point about which the model is linear (see `physical`).
-    controller : Controller, optional
+    controller : JoinedController, optional
         What closes the loop in which the model is simulated (``controller=`` of `refine`).
 
     Attributes
@@ -88,7 +89,7 @@ class PhysicalModel(Result):
     state_units: tuple[str, ...] = ()
     hold: str | None = None
     operating_point: OperatingPoint | None = None
-    controller: Controller | None = None
+    controller: JoinedController | None = None
 
     def __post_init__(self) -> None:
         linear = self.linear
@@ -381,7 +382,7 @@ def _check_sizes(model: PhysicalModel) -> None:
         if len(units) != size:
             raise ct.ControlDimension(f"{what}_units has {len(units)} entries for {size} {what}s")
         store(model, f"{what}_units", units)
-    for key, kind in (("operating_point", OperatingPoint), ("controller", Controller)):
+    for key, kind in (("operating_point", OperatingPoint), ("controller", JoinedController)):
         if getattr(model, key) is not None:
             as_instance(getattr(model, key), kind, f"{key}, where there is one,")
     store(model, "ports", tuple(as_list(model.ports, "ports", "Port objects")))

@@ -24,6 +24,7 @@ from ..inference.problem import descend
 from ..inference.refinement import Refinement
 from ..inference.search import starting_states
 from ..inference.starts import estimated_motion, law_widths
+from ..models.controller import Controller
 from ..models.conversion import under_control
 from ..models.operating_point import ordered_record, start_above
 from ..models.physical_model import PhysicalModel
@@ -42,7 +43,7 @@ def refine(
     noise: float | Sequence[float] | None = None,
     horizon: float | None = None,
     substeps: int | None = None,
-    controller: ct.StateSpace | None = None,
+    controller: Controller | ct.StateSpace | None = None,
 ) -> Refinement:
     """Add effects to a model and estimate them from a record.
 
@@ -83,7 +84,7 @@ def refine(
     substeps : int, optional
         Substeps per sample for nonlinear effects; by default as many as shift no
         coefficient by a third of its standard deviation when they are doubled.
-    controller : StateSpace or TransferFunction, optional
+    controller : Controller, StateSpace or TransferFunction, optional
         Controller under which the record was taken: `simulate` and `compare` run the model in its loop,
         and what is fitted needs no windows. Its signals are joined by name, as by
         `control.interconnect`: inputs named as outputs of the model read them, other inputs are
@@ -91,7 +92,7 @@ def refine(
         negative feedback of ``control.feedback(model, controller)``. Sampled at the time of the record,
         or continuous. Where the record holds the input that it drives, that is what the plant received,
         and no reference is needed; else it is worked out from what the controller read. Its numbers are
-        never estimated.
+        never estimated. `Controller` adds a dead time and limits of the actuator inside the loop.
 
     Returns
     -------
