@@ -957,7 +957,7 @@ CALLS: dict[str, Call] = {
         lambda: rco.improve,
         lambda: {"model": model(), "data": record(), "candidates": [EFFECT], "max_effects": 1},
         {**FIT, "max_effects": is_whole},
-        work="rcorefine.diagnosis.improve.investigate",
+        work="rcorefine.diagnosis.diagnose.base_fit",
     ),
     "Improvement.plot": _plot(improvement, legend_loc=or_none(is_legend)),
     "Improvement.report": _report(improvement, data=is_nothing),

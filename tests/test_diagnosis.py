@@ -148,7 +148,7 @@ def test_bad_options_are_refused(nothing, settings, error):
 def test_short_record_is_refused(nothing):
     hidden, _ = nothing
     short = rco.Measurement(
-        hidden.data.inputs[:, :100], hidden.data.outputs[:, :100], dt=hidden.data.dt, hold="foh"
+        hidden.data.inputs[:, :30], hidden.data.outputs[:, :30], dt=hidden.data.dt, hold="foh"
     )
     with pytest.raises(rco.DataError, match="too short"):
         rco.diagnose(hidden.plant.model, short, candidates=hidden.candidates)

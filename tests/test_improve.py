@@ -91,7 +91,7 @@ def test_validation_record_judges_and_max_effects_stops():
 
 
 def test_bad_input():
-    data = record([], seed=5, n=60)
+    data = record([], seed=5, n=50)
     with pytest.raises(rco.DataError, match="too short"):
         improve(chain(), data)
     with pytest.raises(ct.ControlArgument, match="max_effects"):

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 from scipy import stats
+from scipy.linalg import solve_triangular
+from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
 from rcorefine.inference.covariance import (
@@ -53,15 +55,38 @@ def test_estimates_under_colored_noise_scatter_as_promised(rng):
     assert np.var(found) / np.mean(plain) > 5
 
 
-def test_the_sandwich_is_that_of_the_whole_covariance_matrix(rng):
-    n, J = 400, rng.standard_normal((400, 2))
-    r = lfilter([1.0], [1.0, -0.5], rng.standard_normal(n))
-    normal, middle = colored([r[None]], [J[None]], np.zeros(2))
-    whitener = Whitener.fit([r[None]])
-    impulse = lfilter([1.0], whitener.filters[0], np.eye(1, n)[0]) * whitener.scales[0]
-    L = np.array([np.concatenate([np.zeros(k), impulse[: n - k]]) for k in range(n)]).T
-    assert normal == pytest.approx(J.T @ J)
-    assert middle == pytest.approx(J.T @ L @ L.T @ J * n / (n - 2), rel=1e-9)
+def test_the_sandwich_is_that_of_the_errors_and_not_of_what_the_fit_left(rng):
+    """The whole covariance matrix at the maximum of the restricted likelihood, which scipy finds."""
+    n, X = 60, np.polynomial.legendre.legvander(np.linspace(-1, 1, 60), 5)
+    e = lfilter([1.0], [1.0, -0.5], rng.standard_normal(n + 100))[100:]
+    r = project(e, rank_basis(X))
+    normal, middle = colored([r[None]], [X[None]], np.zeros(6), order=1)
+
+    def restricted(phi: float, level: bool = False) -> float:
+        white, seen = r[1:] - phi * r[:-1], X[1:] - phi * X[:-1]
+        left = float(np.sum(project(white, rank_basis(seen)) ** 2))
+        if level:
+            return left / (n - 1 - 6)
+        return (n - 1 - 6) * np.log(left) + np.linalg.slogdet(seen.T @ seen)[1]
+
+    phi = minimize_scalar(restricted, bounds=(-0.99, 0.99), method="bounded").x
+    assert phi < 0.9
+    lower = solve_triangular(np.eye(n) - phi * np.eye(n, k=-1), np.eye(n), lower=True)
+    assert normal == pytest.approx(X.T @ X)
+    oracle = restricted(phi, level=True) * X.T @ lower @ lower.T @ X
+    assert np.linalg.norm(middle - oracle) < 0.03 * np.linalg.norm(oracle)
+
+
+def test_intervals_of_sixty_samples_hold_beside_slow_noise():
+    """A parabola beside AR noise: 95 % of the 2 sd intervals hold the truth, by their own scatter."""
+    n, runs, X = 60, 400, np.polynomial.legendre.legvander(np.linspace(-1, 1, 60), 2)
+    rng, inside = np.random.default_rng(51), 0
+    for _ in range(runs):
+        e = lfilter([1.0], [1.0, -0.5], rng.standard_normal(n + 100))[100:]
+        theta = np.linalg.lstsq(X, e, rcond=None)[0]
+        unsure = parameter_uncertainty([(X @ theta - e)[None]], [X[None]], np.zeros(3))
+        inside += int(np.sum(np.abs(theta) < 2.0 * standard_deviations(unsure.covariance)))
+    assert inside > 0.9 * 3 * runs
 
 
 def test_a_prior_is_one_more_measurement(rng):

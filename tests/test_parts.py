@@ -15,10 +15,10 @@ def record(n: int) -> rco.Measurement:
 
 @pytest.mark.parametrize(
     ("n", "sizes"),
-    [(1000, (600, 200, 200)), (334, (200, 67, 67)), (300, (200, 50, 50)), (260, (200, 30, 30))],
+    [(1000, (600, 200, 200)), (140, (84, 28, 28)), (60, (36, 12, 12))],
 )
 def test_a_record_is_split_in_three(n: int, sizes: tuple[int, int, int]) -> None:
-    """Three fifths to fit, of a short record the 200 samples that the tests need; in the order of time."""
+    """Three fifths to fit, one to choose and one to judge by, in the order of time."""
     parts = split_in_parts([record(n)], None)
     pieces = [parts.fit[0], parts.choose[0], parts.judge[0]]
     assert tuple(piece.n_samples for piece in pieces) == sizes
@@ -26,14 +26,14 @@ def test_a_record_is_split_in_three(n: int, sizes: tuple[int, int, int]) -> None
     assert parts.learn[0].n_samples == sizes[0] + sizes[1]
 
 
-@pytest.mark.parametrize(("n", "sizes"), [(1000, (750, 250)), (230, (200, 30))])
+@pytest.mark.parametrize(("n", "sizes"), [(1000, (750, 250)), (48, (36, 12))])
 def test_with_another_record_to_judge_by_all_is_split_in_two(n: int, sizes: tuple[int, int]) -> None:
     parts = split_in_parts([record(n)], record(100))
     assert (parts.fit[0].n_samples, parts.choose[0].n_samples) == sizes
     assert parts.judge[0].n_samples == 100
 
 
-@pytest.mark.parametrize(("n", "validation"), [(259, None), (229, record(100))])
+@pytest.mark.parametrize(("n", "validation"), [(59, None), (47, record(100))])
 def test_too_short_a_record_says_what_is_needed(n: int, validation: rco.Measurement | None) -> None:
     with pytest.raises(rco.DataError, match=f"'run 3' of {n} samples .* give at least {n + 1}"):
         split_in_parts([record(n)], validation)

@@ -49,8 +49,8 @@ def test_a_short_record_of_an_integrating_model_can_be_diagnosed():
     found = rco.diagnose(servo(), record(servo(drag=0.07)), candidates=laws)
     assert found.verdict == "effect"
     assert found.best.effect.kind == "damping"
-    with pytest.raises(DataError, match="'run 3' of 150 samples.*at least 200"):
-        rco.diagnose(servo(), record(n=150))
+    with pytest.raises(DataError, match="'run 3' of 30 samples.*at least 36"):
+        rco.diagnose(servo(), record(n=30))
 
 
 def test_a_horizon_means_the_same_everywhere():

@@ -36,7 +36,7 @@ from .residual_tests import passes
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
 _SOLVED = 1e-7  # of a response: its balance of harmonics is solved to 1e-8, which grows near a resonance
 _SURE = 1e-3  # of the sample interval: its standard deviation where an output holds differences of samples
-SHORTEST, _FEWEST = 200, 60  # samples of a record, and values of a frequency response, that can be tested
+SHORTEST, _FEWEST = 36, 60  # samples of a record, and values of a frequency response, that can be tested
 
 
 class Case:
@@ -390,8 +390,7 @@ def not_excited(base: Refinement, records: Sequence[Measurement]) -> str:
 
 _TURNS = {"fit": (0, 2, 3), "choose": (1,), "judge": (4,), "learn": (0, 1, 2, 3)}  # of five in turn
 _BY_RECORD = 5  # least number of records that are split as wholes
-_FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges
-_LEAST = 30  # samples of a part that chooses or judges
+_FIT, _CHOOSE = 0.6, 0.2  # shares of the record; the rest judges, so 60 samples leave 36, 12 and 12
 _FEWEST_POINTS = 50  # points of a response that can be split
 _DEAD = 8.0  # standard deviations of the noise below which nothing moves
 _EXCERPT, _PIECES = 8000, 4  # samples of a long record on which effects are sought
@@ -502,19 +501,21 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
 def _in_time(records: Sequence[Measurement], validated: bool) -> dict[str, list[Measurement]]:
     """Return each record in parts, in the order of time."""
     parts: dict[str, list[Measurement]] = {name: [] for name in _TURNS}
-    least = SHORTEST + _LEAST + (0 if validated else _LEAST)
+    share = _FIT / (_FIT + _CHOOSE) if validated else _FIT
+    least = round(SHORTEST / share)
     for record in records:
         if record.n_samples < least:
             another = "" if validated else ", or another record as validation="
             raise DataError(
                 f"record {record.name!r} of {record.n_samples} samples is too short: {SHORTEST} are needed "
-                f"to fit, {_LEAST} to choose by, {_LEAST} to judge by; give at least {least}{another}"
+                f"to fit, and the others {'choose' if validated else 'choose and judge'}; give at least "
+                f"{least}{another}"
             )
         both = record
         if not validated:
-            both, last = record.split(max(_FIT + _CHOOSE, 0.5 + 0.5 * SHORTEST / record.n_samples))
+            both, last = record.split(_FIT + _CHOOSE)
             parts["judge"].append(last)
-        first, second = both.split(max(_FIT / (_FIT + _CHOOSE), SHORTEST / both.n_samples))
+        first, second = both.split(_FIT / (_FIT + _CHOOSE))
         for name, part in (("fit", first), ("choose", second), ("learn", both)):
             parts[name].append(part)
     return parts

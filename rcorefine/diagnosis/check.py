@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,13 +22,14 @@ from ..inference.levels import levels
 from ..inference.sensitivities import candidate_columns
 from ..models.controller import Controller
 from ..models.conversion import as_physical, known_physical, under_control
+from ..models.library import zero_entries
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 from ..progress import Progress
 from ..refinement.refine import base_fit
 from ..results import counted
 from ..systems.linear import LinearModel
-from .case import Case
+from .case import SHORTEST, Case, with_recorded_inputs
 from .check_outputs import gain_rows, level_rows
 from .check_rows import (
     LOOK,
@@ -46,6 +47,7 @@ from .residual_tests import TestedResidual
 from .verdict import detectable
 
 _SHORTEST = 20  # samples
+_LONGER = 100.0  # times its value: of what only as much shows, no length is named
 _TESTS = 6  # among which one would have to show an effect
 _SETTINGS = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
 
@@ -114,7 +116,13 @@ def check(
         stopped = any(row.status == STOP for row in rows)
         shown = _shown(model, record) if information and not stopped else ()
         own = () if effects is None or stopped else _own(model, record, as_effects(effects, "effects"))
+        rows += _idle_rows(model, data)
     rows += _information_rows(shown, as_physical(model), record) if shown else []
+    if information and record.n_samples < SHORTEST:
+        said = (
+            f"A record of {record.n_samples} samples is too short to test for effects; {SHORTEST} are needed."
+        )
+        rows.append(CheckRow(LOOK, "information", "", f"{record.n_samples} samples", said))
     rows += [_against(effect, found) for effect, found in own]
     return Check(tuple(rows), shown)
 
@@ -254,18 +262,29 @@ def _information_rows(
 ) -> list[CheckRow]:
     """Return check rows on the changes that the record could show.
 
-    A parameter counts as not seen if the record would not even show that it doubles. Windows of a model that
-    integrates show less than the whole record.
+    A parameter counts as not seen if the record would not even show that it doubles. The smallest size falls
+    with the root of the length at least. Windows of a model that integrates show less than the whole record.
     """
     nominal = {(q.kind, q.place): abs(q.value) for q in model.parameters if q.value}
-    blind = [
-        d.effect.label for d in shown if d.smallest > nominal.get((d.effect.kind, d.effect.place), np.inf)
-    ]
+    shares = {
+        d.effect.label: d.smallest / nominal[key]
+        for d in shown
+        if (key := (d.effect.kind, d.effect.place)) in nominal
+    }
     best = ", ".join(f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in shown[:3])
-    seen = CheckRow(
-        OK, "information", "", f"{counted(len(shown), 'effect')} tried",
-        f"Smallest effects that it would show (95 % probability): {best}, and others (.detectable).",
-    )  # fmt: skip
+    said = f"Smallest effects that it would show (95 % probability): {best}, and others (.detectable)."
+    known = sorted((share, label) for label, share in shares.items() if share <= 1.0)
+    if known:
+        ends = " to ".join(
+            f"{100 * share:.2g} % ({label})" for share, label in dict.fromkeys((known[0], known[-1]))
+        )
+        said += f" Changes of parameters: from {ends}."
+    seen = CheckRow(OK, "information", "", f"{counted(len(shown), 'effect')} tried", said)
+    blind = []
+    for label, share in shares.items():
+        if share > 1.0:
+            enough = f" (about {float(f'{record.n_samples * share**2:.1g}'):.0f} samples are enough)"
+            blind.append(label + enough * (share < _LONGER))
     if not blind:
         return [seen]
     cut = integrates(model.linear, record)
@@ -273,3 +292,18 @@ def _information_rows(
     least = f"{whole} would not show these even if they doubled: {', '.join(blind[:4])}."
     least += " A longer horizon= may." if cut else ""
     return [seen, CheckRow(LOOK, "information", "", f"{len(blind)} not seen", least)]
+
+
+def _idle_rows(model: Any, data: Measurement) -> Iterator[CheckRow]:
+    """Yield a row on each input that acts on nothing in the model.
+
+    An input that only the record has is one of them.
+    """
+    wider, _ = with_recorded_inputs(model, [data])
+    linear = LinearModel.from_statespace(getattr(wider, "system", wider))
+    tried = {effect.place for effect in zero_entries(as_physical(wider))}
+    for j in np.flatnonzero(~linear.B.any(axis=0) & ~linear.D.any(axis=0)):
+        label, open_ = linear.input_labels[j], any(f"B[{i},{j}]" in tried for i in range(linear.n_states))
+        said = f"{label} acts on nothing in the model: its column of B and D is zero."
+        said += " Its entries are candidates of diagnose." if open_ else " Set the entry where it acts."
+        yield CheckRow(LOOK, "inputs", label, "acts on nothing", said)

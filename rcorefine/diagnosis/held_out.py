@@ -88,7 +88,7 @@ class HeldOutPath:
             return
         whole, order = self.settled(last), list(effects)
         if len(order) > 1:
-            lost = {effect: _log(self._without(whole, [effect]).rmse) for effect in order}
+            lost = {effect: mean_log(self._without(whole, [effect]).rmse) for effect in order}
             order.sort(key=lambda effect: -lost[effect])
         for k, effect in enumerate(order, 1):
             model = self._without(whole, order[k:]) if order[k:] else whole
@@ -126,7 +126,7 @@ class HeldOutPath:
     # ------------------------------------------------------------------ errors
     def log_error(self, refinement: Refinement) -> float:
         """Return the log free-run error on the second part, mean over outputs."""
-        return _log(self._errors(refinement, self.parts.choose))
+        return mean_log(self._errors(refinement, self.parts.choose))
 
     def _errors(self, refinement: Refinement, records: Sequence[Any]) -> Array:
         """Return the root mean square error (n_y,) of the free run.
@@ -169,7 +169,8 @@ class HeldOutPath:
     def cut(self) -> None:
         """Remove last steps that decrease the second-part error too little."""
         costs = [
-            _log(step.choice_rmse) + levels().earned * sum(len(s.coefficients) for s in self.steps[: k + 1])
+            mean_log(step.choice_rmse)
+            + levels().earned * sum(len(s.coefficients) for s in self.steps[: k + 1])
             for k, step in enumerate(self.steps)
         ]
         self.steps = self.steps[: int(np.argmin(costs)) + 1]
@@ -182,7 +183,7 @@ class HeldOutPath:
         """
         back: list[str] = []
         while len(self.steps) > 1:
-            first, last = (float(np.mean(np.log(s.validation_rmse))) for s in (self.steps[0], self.steps[-1]))
+            first, last = (mean_log(s.validation_rmse) for s in (self.steps[0], self.steps[-1]))
             held = [step.effect for step in self.steps if step.effect is not None]
             if last <= first and not loose(self.steps[-1].refinement, held):
                 break
@@ -203,8 +204,14 @@ def loose(model: Refinement, effects: Sequence[Effect]) -> bool:
     return any(undetermined(model, effect, levels()) for effect in effects)
 
 
-def _log(errors: Array) -> float:
-    """Return the log error, mean over the outputs."""
+def mean_log(errors: Array) -> float:
+    """Return the mean of the logarithms over the outputs.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (n_y,)
+        Errors; zero counts as 1e-300.
+    """
     return float(np.mean(np.log(errors + 1e-300)))
 
 

@@ -28,7 +28,7 @@ from ..refinement.refine import refine
 from .case import common_horizon, not_held, split_in_parts
 from .diagnose import Investigation, investigate
 from .error_shares import in_percent
-from .held_out import HeldOutPath, loose
+from .held_out import HeldOutPath, loose, mean_log
 from .hypothesis import Trial
 from .open_law import open_force
 from .result import Diagnosis, Improvement, Step
@@ -62,7 +62,7 @@ def improve(
     The set is that of `diagnose` of the same records, with the same word. The function shows the path to it:
     each step adds an effect, and its error is measured on held-out data, to which no coefficient is fitted.
 
-    The record is split into three parts in time: three fifths of the samples, and at least 200, then a fifth,
+    The record is split into three parts in time: three fifths of the samples, and at least 36, then a fifth,
     and a fifth of held-out data. Five records or more are divided as wholes: of five in turn, three belong to
     the first part, one to the second and one to the third.
 
@@ -173,6 +173,8 @@ class _Improver:
     def improvement(self) -> Improvement:
         """Go to the set of the diagnosis, or by the error where it names none."""
         found, path = self.found, self.path
+        if found.verdict == "ambiguous" and not found.ranking:  # nothing moves
+            raise DataError(" ".join(found.notes))
         if not self.most:
             path.follow(self.case.base, None, self.case.base, (), "", {})
             message, notes = "Stopped at max_effects = 0; the residual is not noise.", list[str]()
@@ -197,8 +199,7 @@ class _Improver:
             effects, last = found.best.effects, found.best.refinement
             beside = found.base if "linear" in found.base.roles and "linear" not in start.roles else None
         path.follow(start, beside, last, effects, found.verdict, _rivals(found))
-        first, after = path.steps[0].validation_rmse, path.steps[-1].validation_rmse
-        worse = np.mean(np.log(after / first)) > 0
+        worse = mean_log(path.steps[-1].validation_rmse) > mean_log(path.steps[0].validation_rmse)
         notes = ["The error on the held-out data did not decrease."] if worse else []
         notes += filter(None, [self._with_other_name(i) for i in range(len(path.steps))])
         if found.verdict == "unexplained":
@@ -263,9 +264,8 @@ class _Improver:
 
     def _cost(self, model: Refinement, effects: Sequence[Effect]) -> float:
         """Return the mean log error on two parts, with a price per coefficient."""
-        own = float(np.mean(np.log(model.rmse + 1e-300)))
         added = sum(len(effect.free) for effect in effects)
-        return 0.5 * (own + self.path.log_error(model)) + self.case.levels.earned * added
+        return 0.5 * (mean_log(model.rmse) + self.path.log_error(model)) + self.case.levels.earned * added
 
     def _with_table(self, search: Search) -> str:
         """Add the remaining force, tabulated, as a last step; return a sentence.

@@ -40,6 +40,7 @@ from ..systems.linear import Array
 
 _LAGS = 41
 _POWER_LAGS = {2: 21, 3: 6}
+_VALUES_PER_COLUMN = 5  # fewer say nothing about that many columns
 _SHOWN = ("other laws", "changes with time")  # in front of the other tests
 _MOST = 6  # tests that count
 _TOGETHER = 16  # candidates whose columns are white at a time: they take the most room
@@ -74,7 +75,7 @@ class TestedResidual:
             white = self.whitener.apply([j * sizes[fitted.problem.felt_by(i)]])
             common.append(np.hstack([white[:, :p], self.whitener.apply([lead[i]])]))
             own.append(white[:, p:])
-        self.basis = Basis.of(common, own)
+        self.basis = replace(Basis.of(common, own), more=sum(self.whitener.orders))
         self.left = project(self.residual, self.basis)
         self._weighted: tuple[Array, Array, Basis] | None = None
         self._outputs = self.whitener.outputs([r for r, _ in blocks])
@@ -231,7 +232,10 @@ def _others(tested: TestedResidual, motions: Sequence[Motion]) -> Iterator[FTest
         return
     at_once = _at_once(fitted)
     for name, powers in (("input", {1: _LAGS}), ("powers of the input", _POWER_LAGS)):
-        yield tested.test_apart(name, [_lagged(r, at_once, powers) for r in records])
+        columns = sum(powers.values()) * records[0].n_inputs
+        share = min(1.0, sum(r.n_samples for r in records) / max(_VALUES_PER_COLUMN * columns, 1))
+        lags = {power: max(int(share * most), 2) for power, most in powers.items()}
+        yield tested.test_apart(name, [_lagged(r, at_once, lags) for r in records])
     gain = fitted.gain(ratio)
     slow = [force_responses(fitted, i, slow_forces(fitted, ratio, i), gain) for i in range(len(records))]
     yield tested.test("changes with time", slow)
@@ -333,7 +337,6 @@ def passes(tests: Sequence[FTest], excess: float, significance: float, levels: L
 
 _SHORT_LAGS = 21
 _NEIGHBORS = 3
-_VALUES_PER_COLUMN = 5  # fewer say nothing about that many columns
 
 
 def response_tests(tested: TestedResidual) -> list[FTest]:

@@ -28,6 +28,7 @@ from .search import Search, is_gain, is_number
 
 _CLOSE = 12  # most probable sets of which one may be close enough
 _LEFT_OVER = 0.3  # of the error of the model as it is, that what explains it may leave
+_ROUNDS, _PART = 4, 0.02  # of the noise model; share of an effect in a residual that does not change it
 
 
 @dataclass(frozen=True, eq=False)
@@ -411,20 +412,42 @@ def detectable(
     """Return the smallest detectable coefficient of each simple candidate.
 
     Candidates with several coefficients or starts are left out. The power is 95 % by default
-    (`Levels.power`), at the level `significance` shared by all tests and candidates.
+    (`Levels.power`), at the level `significance` shared by all tests and candidates. In a short record the
+    effect is a large part of the residual, so the noise is that which would be taken for it then.
     """
-    level = stats.norm.isf(significance / (2 * tests * max(len(scored), 1))) + levels.power
-    found = []
+    chance, found = significance / (2 * tests * max(len(scored), 1)), []
     for candidate in scored:
         if len(candidate.effect.free) != 1 or len(candidate.starts) != 1:
             continue
-        white = tested.whiten(candidate.columns[tested.ratio])
-        column = project(white[:, 0], tested.basis)
-        size = float(np.linalg.norm(column))
-        if size > 1e-9 * max(float(np.linalg.norm(white[:, :1])), 1e-300):
+        smallest = _smallest(tested, candidate, chance, levels.power)
+        for _ in range(_ROUNDS if stats.norm.isf(chance) ** 2 > _PART * tested.left.size else 0):
+            if not np.isfinite(smallest):
+                break
+            columns = candidate.columns[tested.ratio]
+            rows = zip(tested.fitted.residuals(tested.ratio), columns, strict=True)
+            whitener = tested.fitted.problem.whitener([r + smallest * c[:, :, 0] for r, c in rows])
+            spoiled = TestedResidual(tested.fitted, tested.ratio, whitener)
+            smallest = max(smallest, _smallest(spoiled, candidate, chance, levels.power))
+        if np.isfinite(smallest):
             parameter = candidate.problem.structure.parameters[-1]
             unit = candidate.problem.structure.unit(parameter)
-            # larger if the column is large on samples that are noisier than the rest
-            spread = max(1.0, float(np.linalg.norm(column * tested.left)) / size)
-            found.append(Detectable(candidate.effect, parameter.name, level * spread / size, unit))
+            found.append(Detectable(candidate.effect, parameter.name, smallest, unit))
     return tuple(found)
+
+
+def _smallest(tested: TestedResidual, candidate: Candidate, chance: float, power: float) -> float:
+    """Return the smallest coefficient that the test of a candidate shows.
+
+    It is infinite where nothing is seen of the candidate.
+    """
+    white = tested.whiten(candidate.columns[tested.ratio])[:, 0]
+    column = project(white, tested.basis)
+    size = float(np.linalg.norm(column))
+    if size <= 1e-9 * max(float(np.linalg.norm(white)), 1e-300):
+        return np.inf
+    free = max(tested.left.size - tested.basis.rank - 1, 1)
+    noise = float(np.linalg.norm(tested.left)) / np.sqrt(free)
+    # larger if the column is large on few samples, or on samples that are noisier than the rest
+    spread = max(noise, float(np.linalg.norm(column * tested.left)) / size)
+    few = 1.0 / float(np.sum((column / size) ** 4))
+    return float((stats.t.isf(chance, min(free, few)) + power) * spread / size)

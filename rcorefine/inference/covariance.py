@@ -15,9 +15,11 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from ..systems.linear import Array
-from .whitening import autoregression, stable_model
+from .whitening import RESOLUTION, autoregression, innovations, stable_model
 
 _UNSEEN = 1e-7  # singular value of the unit-column Jacobian below which a direction is not seen
+_AWAY = 2.0  # times the power of a residual, to which only an error of the model moves it
+_ROUNDS, _ALIKE = 30, 0.03  # of a noise model, and its change, in its standard errors, that ends them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,18 +191,79 @@ def colored(
         J'J and J'RJ with the priors, R the covariance of the residual as an autoregressive model
         per output sees it.
     """
-    joined = np.concatenate(residuals, axis=1)
-    correction = joined.size / max(joined.size - precision.size, 1)
     normal, middle = np.diag(precision.astype(float)), np.diag(precision.astype(float))
-    for i, row in enumerate(joined):
-        a, variance = stable_model(*autoregression(row, order=order))
-        for k, jacobian in enumerate(jacobians):
+    at = [np.arange(precision.size)] * len(jacobians) if columns is None else columns
+    for i, (a, variance) in enumerate(_errors(residuals, jacobians, precision, order, at)):
+        a, variance = stable_model(a, variance)
+        for jacobian, own in zip(jacobians, at, strict=True):
             J = jacobian[i]
             backwards = J if a.size == 1 else lfilter([1.0], a, J[::-1], axis=0)
-            at = ... if columns is None else np.ix_(columns[k], columns[k])
-            normal[at] += J.T @ J
-            middle[at] += variance * correction * (backwards.T @ backwards)
+            normal[np.ix_(own, own)] += J.T @ J
+            middle[np.ix_(own, own)] += variance * (backwards.T @ backwards)
     return normal, middle
+
+
+def _errors(
+    residuals: Sequence[Array],
+    jacobians: Sequence[Array],
+    precision: Array,
+    order: int | None,
+    at: Sequence[Any],
+) -> list[tuple[Array, float]]:
+    """Return the autoregressive model of the errors of each output.
+
+    A fit takes a part of the errors, above all of slow ones, so its residual is smaller and whiter.
+    Restricted maximum likelihood allows for that, by expectation maximization with the unknowns as missing
+    data (Laird and Ware, Biometrics 38 (1982) 963). The orders are those of the residuals.
+    """
+    joined = np.concatenate(residuals, axis=1)
+    correction = joined.size / max(joined.size - precision.size, 1)
+    models = [autoregression(row, order=order) for row in joined]
+    joined = joined - joined.mean(axis=1, keepdims=True)
+    models = [(a, variance * correction) for a, variance in models]
+    least = RESOLUTION**2 * max(variance for _, variance in models)  # of an output that is no rounding
+    noisy = {i: model for i, model in enumerate(models) if model[1] > least}
+    for _ in range(_ROUNDS if noisy else 0):
+        # expectation: how far the unknowns move, and what they leave
+        shift, roots = _unknowns(noisy, residuals, jacobians, precision, at)
+        left = joined - np.concatenate([J @ shift[own] for J, own in zip(jacobians, at, strict=True)], axis=1)
+        if (np.sum(left**2, axis=1) > _AWAY * np.sum(joined**2, axis=1))[list(noisy)].any():
+            break
+        # maximization: the noise model of each output
+        before, change = dict(noisy), 0.0
+        for i, (a, variance) in before.items():
+            unsure = np.concatenate([J[i] @ root for J, root in zip(jacobians, roots, strict=True)])
+            noisy[i] = autoregression(left[i], order=a.size - 1, unsure=unsure)
+            change = max(change, float(np.abs(noisy[i][0] - a).max()), abs(noisy[i][1] / variance - 1.0))
+        if change * np.sqrt(joined.shape[1]) < _ALIKE:
+            break
+    return [noisy.get(i, model) for i, model in enumerate(models)]
+
+
+def _unknowns(
+    models: dict[int, tuple[Array, float]],
+    residuals: Sequence[Array],
+    jacobians: Sequence[Array],
+    precision: Array,
+    at: Sequence[Any],
+) -> tuple[Array, list[Array]]:
+    """Return how far generalized least squares moves the unknowns.
+
+    Roots of the covariance of the unknowns that each record feels come with it. `models` holds those of
+    outputs.
+    """
+    normal, slope = np.diag(precision.astype(float)), np.zeros(precision.size)
+    for i, (a, variance) in models.items():
+        for r, J, own in zip(residuals, jacobians, at, strict=True):
+            left, white = (innovations(a, x[i])[a.size - 1 :] for x in (r, J))
+            normal[np.ix_(own, own)] += white.T @ white / variance
+            slope[own] += white.T @ left / variance
+    inverse, _, _ = pseudo_inverse(normal)
+    size, roots = np.sqrt(np.maximum(np.diag(inverse), 1e-300)), []
+    for own in at:
+        values, vectors = np.linalg.eigh(inverse[np.ix_(own, own)] / np.outer(size[own], size[own]))
+        roots.append(size[own, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+    return inverse @ slope, roots
 
 
 def parameter_uncertainty(

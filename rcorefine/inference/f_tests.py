@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -278,10 +278,13 @@ class Basis:
     own : tuple of (slice, ndarray)
         Rows of a record, and the directions that it feels alone: time and room grow with the number of
         records, not with its square.
+    more : int
+        Degrees of freedom that were used besides, such as those of a noise filter.
     """
 
     common: Array
     own: tuple[tuple[slice, Array], ...] = ()
+    more: int = 0
 
     @classmethod
     def of(cls, common: Sequence[Array], own: Sequence[Array]) -> Basis:
@@ -299,8 +302,8 @@ class Basis:
 
     @property
     def rank(self) -> int:
-        """Number of directions."""
-        return int(self.common.shape[1] + sum(q.shape[1] for _, q in self.own))
+        """Number of degrees of freedom that were used."""
+        return int(self.common.shape[1] + sum(q.shape[1] for _, q in self.own)) + self.more
 
     @cached_property
     def leverage(self) -> Array:
@@ -317,11 +320,12 @@ class Basis:
         """
         common = weights[:, None] * np.hstack([self.common, more])
         if not self.own:
-            return Basis(rank_basis(common))
-        return Basis.of(
+            return Basis(rank_basis(common), more=self.more)
+        found = Basis.of(
             [common[at] for at, _ in self.own],
             [weights[at, None] * directions for at, directions in self.own],
         )
+        return replace(found, more=self.more)
 
 
 def as_basis(basis: Basis | Array) -> Basis:

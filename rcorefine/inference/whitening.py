@@ -185,6 +185,7 @@ def autoregression(
     known: NDArray[np.bool_] | None = None,
     price: float = 2.0,
     most: int | None = None,
+    unsure: Array | None = None,
 ) -> tuple[Array, float]:
     """Fit an autoregressive model to a signal.
 
@@ -193,16 +194,18 @@ def autoregression(
     Parameters
     ----------
     signal : ndarray, shape (N,)
-        Signal; its mean is taken out.
+        Signal; its mean is taken out, but for one with `unsure`.
     order : int, optional
         Given rather than chosen, where likelihoods of several signals are compared.
     known : ndarray of bool, shape (N,), optional
         Samples that count; by default all.
     price : float, optional
         Of a coefficient in twice the log-likelihood: 2 for Akaike, the log of the samples for Schwarz.
-
     most : int, optional
         Highest order to choose from, where the length of the signal allows more.
+    unsure : ndarray, shape (N, k), optional
+        Root of the covariance matrix of the signal, where it is known only up to an error of a fit: the
+        expected products count.
 
     Returns
     -------
@@ -226,12 +229,14 @@ def autoregression(
     [ 1.  -0.8] 1.0
     """
     whole = np.ones(signal.size, dtype=bool) if known is None else known
-    r = signal - (signal[whole].mean() if whole.any() else 0.0)
+    r = signal - (signal[whole].mean() if whole.any() and unsure is None else 0.0)
     longest = highest_order(int(whole.sum()))
     most = order if order is not None else longest if most is None else min(most, longest)
     n = r.size - most
     if whole.all():
         products = _products(r, most)
+        for column in () if unsure is None else unsure.T:
+            products += _products(column, most)
     else:
         judged = sliding_window_view(whole, most + 1).all(axis=1)
         rows, n = sliding_window_view(r, most + 1)[judged, ::-1], int(judged.sum())
