@@ -23,8 +23,8 @@ WITHOUT = {  # need what only you know: where that is told
     "input_curve": "a static curve of an actuator, as a `Table`: [listed only on request](../laws.md)",
     "output_curve": "a static curve of a sensor, as a `Table`: [listed only on request](../laws.md)",
     "coefficient": "an entry of A or B, where states mean nothing: [how to](../howto.md)",
-    "state_dependent_gain": "an entry of B that depends on the state: [listed only on request](../laws.md)",
-    "product_of_states": "an entry of A that depends on the state: [listed only on request](../laws.md)",
+    "state_dependent_gain": "an entry of B that depends on the state: [listed at stores](../laws.md)",
+    "product_of_states": "an entry of A that depends on the state: [listed at stores](../laws.md)",
     "model_parameter": "a number of a right-hand side: [a nonlinear model](../nonlinear_models.md)",
 }
 CONSTANTS = {"radiation": {"temperature": 300.0}, "magnetic_force": {"gap": 3.0, "current": 1.0}}

@@ -12,6 +12,7 @@ from hidden.generator import Law, held_motion
 import rcorefine as rco
 from rcorefine.diagnosis.case import excerpt
 from rcorefine.diagnosis.improve import improve
+from rcorefine.exceptions import ExcitationWarning
 
 DT = 0.01
 
@@ -170,3 +171,30 @@ def test_ties_are_those_that_a_diagnosis_of_the_same_record_lists(seed):
     assert tied == {effect.label for effect in found.ambiguous}
     assert ladder.diagnosis.verdict == found.verdict
     assert set(ladder.effects) == set(found.effects)
+
+
+def test_a_record_in_which_nothing_was_excited_is_refused():
+    """Nothing moves: neither 'adequate' nor a set may be said of it."""
+    still = rco.Measurement(np.zeros(900), 0.01 * np.random.default_rng(0).standard_normal(900), dt=DT)
+    with pytest.warns(ExcitationWarning), pytest.raises(rco.DataError, match="nothing was excited"):
+        improve(chain(), still, candidates=LAWS)
+
+
+def test_a_sensor_that_is_dead_is_left_out_of_the_path():
+    """The second output stays at zero in the record and in the held-out one."""
+    one = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    linear = one.linear
+    model = ct.ss(
+        linear.A, linear.B, np.vstack([linear.C, [[0.0, 1.0]]]), np.zeros((2, 1)),
+        states=["x", "v"], inputs=["force"], outputs=["place", "speed"],
+    )  # fmt: skip
+    records = []
+    for seed, samples in ((0, 1000), (1, 400)):
+        record = hardening(40.0, samples, seed)
+        both = np.vstack([record.outputs, np.zeros((1, samples))])
+        records.append(rco.Measurement(record.inputs, both, dt=record.dt, hold="foh"))
+    laws = [rco.Effect(kind, "x") for kind in ("cubic_stiffness", "stiffness", "damping")]
+    found = improve(model, records[0], validation=records[1], candidates=laws)
+    assert [effect.kind for effect in found.effects] == ["cubic_stiffness"]
+    assert found.steps[-1].validation_rmse.shape == (1,)
+    assert found.steps[-1].validation_rmse[0] < 0.3 * found.steps[0].validation_rmse[0]

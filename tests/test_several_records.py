@@ -14,7 +14,11 @@ from scipy.optimize import least_squares
 from scipy.signal import StateSpace, dlsim, lsim
 
 import rcorefine as rco
+from rcorefine.diagnosis.diagnose import amplitude_test
+from rcorefine.inference.fitted import fitted_from
+from rcorefine.inference.levels import levels
 from rcorefine.inference.problem import Evaluation
+from rcorefine.models.operating_point import ordered_record
 
 M, C, K = 1.0, 0.4, 100.0
 SPRING = rco.Effect("stiffness", "link1")
@@ -331,3 +335,34 @@ def test_a_model_without_an_effect_is_confirmed_or_refuted(stiffness, verdict, r
     assert "model without an added effect" in str(found)
     with pytest.raises(rco.ModelError, match="no coefficient to plot"):
         found.plot()
+
+
+def steps_of_two_sizes(law, seed=1, n=3000):
+    """A mass pushed and then pushed twice as strongly, by Runge and Kutta; noise of 1 %."""
+    rng, dt, x, y = np.random.default_rng(seed), 0.02, np.zeros(2), np.zeros(n)
+    push = rng.standard_normal(n) * np.where(np.arange(n) < n // 2, 12.0, 24.0)
+
+    def rate(x, u):
+        return np.array([x[1], u - 0.4 * x[1] - law(x[0])])
+
+    for k in range(n - 1):
+        for _ in range(4):
+            h, u = dt / 4, push[k]
+            a = rate(x, u)
+            b = rate(x + h / 2 * a, u)
+            c = rate(x + h / 2 * b, u)
+            x = x + h / 6 * (a + 2 * b + 2 * c + rate(x + h * c, u))
+        y[k + 1] = x[0]
+    return rco.Measurement(push, y + 0.01 * y.std() * rng.standard_normal(n), dt=dt, hold="zoh")
+
+
+@pytest.mark.parametrize(("power", "size", "agrees"), [(3, 60, True), (5, 60, False)])
+def test_stretches_of_one_record_have_to_agree_on_a_law(power, size, agrees):
+    """A cubic spring has one coefficient at both sizes; fitted to a quintic one it has two."""
+    data = steps_of_two_sizes(lambda d: 100 * d + size * d**power)
+    model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    held = rco.refine(model, data, [rco.Effect("cubic_stiffness", "link1")], offset=False)
+    fitted = fitted_from(held, [ordered_record(held.physical_model, data)], tolerance=0.0, noise=None)
+    p_value, sentence = amplitude_test(fitted, 1, levels())
+    assert (p_value > levels().disagree) == agrees
+    assert ("they agree" in sentence) == agrees

@@ -62,7 +62,7 @@ class HeldOutPath:
         last: Refinement,
         effects: Sequence[Effect],
         verdict: str,
-        rivals: Mapping[Effect, Sequence[Effect]],
+        ties: Mapping[Effect, Sequence[Effect]],
     ) -> None:
         """Record the steps from the initial model to the last one.
 
@@ -78,7 +78,7 @@ class HeldOutPath:
             Its effects that are steps. The first step is the one without which the error is largest.
         verdict : str
             Verdict on the last model.
-        rivals : dict
+        ties : dict
             Effects that the data cannot distinguish from an effect.
         """
         self.add(None, "start", self.settled(start), verdict)
@@ -92,7 +92,7 @@ class HeldOutPath:
             order.sort(key=lambda effect: -lost[effect])
         for k, effect in enumerate(order, 1):
             model = self._without(whole, order[k:]) if order[k:] else whole
-            self.add(effect, "add", model, "effect", rivals.get(effect, ()))
+            self.add(effect, "add", model, "effect", ties.get(effect, ()))
 
     def add(
         self,
@@ -100,7 +100,7 @@ class HeldOutPath:
         action: str,
         model: Refinement,
         verdict: str,
-        rivals: Sequence[Effect] = (),
+        ties: Sequence[Effect] = (),
     ) -> None:
         """Append a step with its errors and coefficients."""
         rows = {} if effect is None else estimates(model, effect)
@@ -108,7 +108,7 @@ class HeldOutPath:
         std = {name: float(row.std) for name, row in rows.items()}
         train = self._errors(model, self.parts.fit) if model.of_responses else model.rmse.copy()
         choice, judged = (self._errors(model, part) for part in (self.parts.choose, self.parts.judge))
-        other = () if effect is None else tuple(not_held(rivals, [effect]))
+        other = () if effect is None else tuple(not_held(ties, [effect]))
         self.steps.append(Step(effect, action, train, choice, judged, values, std, verdict, other, model))
 
     def settled(self, refinement: Refinement) -> Refinement:
