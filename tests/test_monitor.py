@@ -925,21 +925,22 @@ def test_a_candidate_that_is_true_keeps_its_name():
     assert abs(monitor.alarm.coefficients["stiffness"] + 10.0) < 4.0 * monitor.alarm.std["stiffness"]
 
 
-@pytest.mark.parametrize(
-    ("seed", "periods"), [(6003, 2), pytest.param(6010, 2, marks=pytest.mark.slow), (7708, 4)]
-)
-def test_a_softer_spring_is_named_where_others_nearly_fit(seed, periods):
+@pytest.mark.parametrize("seed", [6003, pytest.param(6010, marks=pytest.mark.slow), 7708])
+def test_a_softer_spring_is_named_where_others_nearly_fit(seed):
     """Samples off, a mass or the neighboring spring fitted better than the spring that is softer.
 
-    In the third record its linear score is low, and a mass left 1.25 of the noise.
+    In the third record its linear score is low, and a mass left 1.25 of the noise. It is named where the
+    fits agree twice, a few periods earlier or later by how sums are rounded.
     """
     sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
     from monitor import HEALTHY, changing_record
 
     record = changing_record(seed, lambda periods: 1.0, loss=0.1)
     monitor = rco.Monitor(record.plant.model, dt=record.plant.dt, hold="foh", learn=3000)
-    for k in range(0, HEALTHY + int(periods * record.period), 20):
+    k = 0
+    while monitor.alarm is None and k < HEALTHY + 8 * record.period:
         monitor.update(record.w[:, k : k + 20], record.y[:, k : k + 20])
+        k += 20
     assert monitor.alarm.effect.label == f"stiffness at {record.place}"
     assert abs(monitor.alarm.coefficients["stiffness"] - record.size) < 4.0 * monitor.alarm.std["stiffness"]
     assert abs(monitor.alarm.since_sample - HEALTHY) < 0.5 * record.period

@@ -205,7 +205,7 @@ def test_numbers_that_leave_color_are_told_with_what_they_leave() -> None:
     fronts = 60e3 * (1 + 0.2 * np.sin(2 * np.pi * np.arange(900) / 300))
     found = diagnosed(steer, driven(fronts, steer), rng, 0.02)
     said = str(found).replace("\n", " ")
-    assert found.verdict in ("parameters", "unexplained")
+    assert found.verdict != "effect"
     assert found.verdict == "unexplained" or "explains only 8" in said
     assert "explain the record, moved so far" not in said
 

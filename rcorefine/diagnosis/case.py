@@ -36,6 +36,7 @@ from .residual_tests import passes
 _FEW_LEVELS = 3  # distinct values of an output that does not move but for its last digit
 _SOLVED = 1e-7  # of a response: its balance of harmonics is solved to 1e-8, which grows near a resonance
 _SURE = 1e-3  # of the sample interval: its standard deviation where an output holds differences of samples
+_BOTH = 0.05  # of the largest state: it takes both signs
 SHORTEST, _FEWEST = 36, 60  # samples of a record, and values of a frequency response, that can be tested
 
 
@@ -114,9 +115,20 @@ class Case:
             self.motions[0].companions = self.motions[1:]
         library = candidates_of(physical) if asked is None else asked
         library = seen_in(physical, library, ordered, asked is not None)
-        self.library = not_held(library, base.effects)
+        self.library = not_held(self._distinct(library) if asked is None else library, base.effects)
         if not self.library:
             raise ct.ControlArgument("no candidate is left that the model does not hold already; give others")
+
+    def _distinct(self, candidates: Sequence[Effect]) -> list[Effect]:
+        """Leave out laws that are another one where the state keeps its sign."""
+        found = []
+        for effect in candidates:
+            if effect.spec.two_signed and self.in_time:
+                v = np.concatenate([motion.port(effect.place)[1] for motion in self.motions])
+                if min(v.max(), -v.min()) < _BOTH * np.abs(v).max():
+                    continue
+            found.append(effect)
+        return found
 
     @property
     def about(self) -> dict[str, Any]:

@@ -69,13 +69,15 @@ class Watched:
         given = as_noise(noise, self.whole.linear.n_outputs)
         return noise if given is None or np.ndim(noise) == 0 else given[list(self.kept)]
 
-    def effects(self, given: Sequence[Any]) -> list[Any]:
-        """Entries without the laws of sensors that are left out."""
+    def effects(self, given: Any) -> Any:
+        """Entries without the laws of sensors that are left out; None stays."""
+        if given is None:
+            return None
         labels = self.whole.linear.output_labels
         lost = {label for i, label in enumerate(labels) if i not in self.kept}
         return [
             one
-            for one in given
+            for one in ([given] if isinstance(given, Effect) else given)
             if not isinstance(one, Effect) or "output" not in one.spec.where or one.place not in lost
         ]
 

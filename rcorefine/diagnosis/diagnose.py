@@ -308,16 +308,15 @@ def investigate(
     if validation is not None:
         check_validation(model, validation)
     check_settings(as_physical(model), **options)
-    if isinstance(options["free"], str):  # all parameters: the search re-estimates them, with priors
+    free_all = isinstance(options["free"], str)
+    if free_all:  # the search re-estimates all parameters, with priors
         options["free"] = ()
     live, silent = given, tuple[str, ...]()
     watched = without_dead_sensors(model, given)
     if watched is not None:
         model, live, silent = watched.model, [watched.record(one) for one in given], watched.said
         options["noise"] = watched.noise(noise)
-        free = options["free"]
-        options["free"] = watched.effects([free] if isinstance(free, Effect) else free)
-        candidates = None if candidates is None else watched.effects(candidates)
+        options["free"], candidates = watched.effects(options["free"]), watched.effects(candidates)
         validation = None if validation is None else watched.record(validation)
     records = spread_lines(live)
     with steps.step("model as it is"):
@@ -329,6 +328,8 @@ def investigate(
     if not most:
         return Investigation(Diagnosis("unexplained", **case.about), case, model, validation)
     found = by_smaller_motion(_ask_twice(case, validation, most), case, model)
+    if free_all and found.floated is not None:  # they are no verdict then, but what was asked for
+        found = replace(found, verdict="adequate", base=found.floated, floated=None)
     said = about_noise(base.physical_model, records, live)
     found = replace(found, checks=odd, records=tuple(live), notes=(*added, *silent, *found.notes, *said))
     return Investigation(found, case, model, validation)
@@ -450,7 +451,7 @@ def _told(
     if word != "unexplained" and np.isnan(found.probability):  # it fails the tests, by too little to matter
         about["adequate_to"] = max(one.model for one in about["error_shares"])
     notes = [*about_hold(trial, search), *said]
-    left = left_to_noise(trial.tested, case.levels) if word in ("adequate", "parameters") else ""
+    left = "" if word == "unexplained" and own else left_to_noise(trial.tested, case.levels)
     if word == "adequate":
         scored = candidate_columns(trial.model, case.library, case.motions[0], (held.ratio,))
         shown = detectable(trial.tested, scored, len(own), case.significance, case.levels)
@@ -499,7 +500,7 @@ def _told(
         none_of_these=found.none,
         places=_places(rows, found, law, case.in_time),
         open_law=None if law is None else law.law,
-        left_to_noise="" if own else left_to_noise(nothing.tested, case.levels),
+        left_to_noise=left,
     )
 
 

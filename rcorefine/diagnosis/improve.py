@@ -26,7 +26,7 @@ from ..models.controller import Controller
 from ..progress import Progress
 from ..refinement.refine import refine
 from .case import common_horizon, not_held, split_in_parts
-from .diagnose import Investigation, investigate
+from .diagnose import Investigation, investigate, parameters_off
 from .error_shares import in_percent
 from .held_out import HeldOutPath, loose, mean_log
 from .hypothesis import Trial
@@ -198,6 +198,8 @@ class _Improver:
         if found.best is not None and found.floated is None:
             effects, last = found.best.effects, found.best.refinement
             beside = found.base if "linear" in found.base.roles and "linear" not in start.roles else None
+        if not effects and found.floated is None:  # with what the record as a whole needs, such as its hold
+            start = found.base
         path.follow(start, beside, last, effects, found.verdict, _rivals(found))
         worse = mean_log(path.steps[-1].validation_rmse) > mean_log(path.steps[0].validation_rmse)
         notes = ["The error on the held-out data did not decrease."] if worse else []
@@ -252,7 +254,13 @@ class _Improver:
 
         The empty set if no other decreases the error enough for its coefficients.
         """
-        tried = [t for t in search.ranked() if search.determined(t) and not t.hypothesis.ratio][:_JUDGED]
+        tried = [
+            t
+            for t in search.ranked()
+            if not t.hypothesis.ratio
+            and search.determined(t)
+            and (not t.hypothesis.floated or parameters_off(t, self.case.levels))
+        ][:_JUDGED]
         costs = {t: self._cost(t.model.refinement, t.effects) for t in tried}
         least = self._cost(search.trials[0].model.refinement, ())
         for trial in sorted(tried, key=costs.__getitem__)[:_SETTLED]:

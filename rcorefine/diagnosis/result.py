@@ -146,8 +146,8 @@ class Diagnosis(Reported):
     open_law : OpenLaw or None
         Where the verdict is "unexplained": the force as a table, and the laws nearest to it.
     left_to_noise : str
-        Where no test fires on the model as it is, though much of the record is left to noise with a
-        memory: how much, and what that may hide. Else empty.
+        What the model of the verdict leaves to colored noise, and what that may hide. Empty where that is
+        little, or where the residual tests of an unexplained record are significant.
     checks : tuple of CheckRow
         What `check` finds odd about the records, or the model beside them, before anything is tested.
     error_shares : tuple of ErrorShare

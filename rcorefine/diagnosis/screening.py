@@ -18,6 +18,7 @@ from ..systems.linear import Array
 from .hypothesis import Start
 
 _FLAT = 1e-4  # least share of a column outside the span of parameters, offsets and initial states
+_NOTHING = 1e-150  # squared residual of an exact record
 _MOST_RECORDS = 8  # most records whose initial states are solved for together
 
 
@@ -153,11 +154,11 @@ class Screen:
         the parameters first. With `open_` the parameters of the model are re-estimated, too.
         """
         m, columns = self._columns(groups, open_)
-        rr = float(self.G[0, 0])
+        rr = max(float(self.G[0, 0]), _NOTHING)  # nothing is left of an exact record
         if not columns:
             return -0.5 * self.n * float(np.log(rr / self.n)), np.zeros(0)
         G, b = self.G[np.ix_(columns, columns)], self.G[columns, 0]
-        precision = np.r_[np.ones(m), np.full(len(columns) - m, 1.0 / max(rr, 1e-300))]
+        precision = np.r_[np.ones(m), np.full(len(columns) - m, 1.0 / rr)]
         variance, u = rr / self.n, np.zeros(0)
         for _ in range(3):
             u = np.linalg.solve(G / variance + np.diag(precision), -b / variance)
@@ -171,7 +172,7 @@ class Screen:
     def next_scores(self, chosen: Sequence[Group], open_: bool) -> Array:
         """Return approximate gains in log evidence by each further group."""
         m, columns = self._columns(chosen, open_)
-        rr = float(self.G[0, 0])
+        rr = max(float(self.G[0, 0]), _NOTHING)
         value = self.solve(chosen, open_)[0]
         variance = max(float(np.exp(-2.0 * value / self.n)), 1e-12 * rr / self.n)
         S = self.G / variance

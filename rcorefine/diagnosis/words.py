@@ -175,8 +175,10 @@ def _tests(found: Diagnosis, worst: FTest) -> list[str]:
     if failed and (found.verdict == "unexplained" or np.isfinite(found.adequate_to)):
         left = min(found.winner_tests, key=lambda t: t.p_value)
         lines.append(f"With the best candidate it is not noise, either: {failed_test(left)}.")
+    if found.verdict != "unexplained":
+        lines.append(found.left_to_noise)
     if found.floated is not None:
-        lines += [found.left_to_noise, numbers_that_moved(determined(found.floated)), _ALIKE]
+        lines += [numbers_that_moved(determined(found.floated)), _ALIKE]
     return lines
 
 

@@ -77,6 +77,7 @@ class CurvedLoss(PortLaw):
     formula = "f = t v^2"
     explanation = "The loss at {place} is curved: it grows faster on one side of zero than on the other."
     words = ("curved {loss}", "The {loss} at {place} grows faster on one side of zero than on the other.")
+    two_signed = True  # else it is a quadratic loss
 
     @staticmethod
     def law(v, curvature):  # type: ignore[no-untyped-def]

@@ -190,6 +190,8 @@ class Law:
         Whether it is a fault of the record as a whole, which `diagnose` asks for itself.
     one_signed : bool
         Whether it is looked for only at an input that never changes its sign.
+    two_signed : bool
+        Whether it is another law of the library where the state never changes its sign.
     of_speeds : bool
         Whether it is looked for only at speeds, where the place is a state of its own.
     of_displacements : bool
@@ -240,6 +242,7 @@ class Law:
     drifts: ClassVar[tuple[str, ...]] = ()
     of_record: ClassVar[bool] = False
     one_signed: ClassVar[bool] = False
+    two_signed: ClassVar[bool] = False
     of_speeds: ClassVar[bool] = False
     of_displacements: ClassVar[bool] = False
     of_differences: ClassVar[str] = ""
