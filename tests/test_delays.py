@@ -119,14 +119,16 @@ def test_a_delay_gains_nothing_by_what_it_hides():
     np.testing.assert_allclose(costs, 200.0, rtol=1e-6)
 
 
-@pytest.mark.parametrize("late", [3, 30])
-def test_a_dead_time_of_one_path_is_found_under_both_names(rng, late):
+@pytest.mark.parametrize(("late", "tau"), [(3, 12.0), (30, 12.0), (0.55, 5.0)])
+def test_a_dead_time_of_one_path_is_found_under_both_names(rng, late, tau):
     """Through one input and one output of a linear plant it acts alike at either end."""
-    n, before, tau = 240, 200, 12.0
+    n, before = 240, 200
     u = np.repeat(rng.uniform(-1, 1, (n + before) // 8), 8)
-    y, kept = np.zeros(u.size), np.exp(-1 / tau)
+    y, whole, part = np.zeros(u.size), int(late), late % 1.0
+    kept, rest = np.exp(-1 / tau), np.exp(-(1 - part) / tau)  # in a sample, and after its edge
     for k in range(1, u.size):
-        y[k] = kept * y[k - 1] + (1 - kept) * 2.0 * u[max(k - 1 - late, 0)]
+        before_edge, after = u[max(k - 2 - whole, 0)], u[max(k - 1 - whole, 0)]
+        y[k] = kept * y[k - 1] + 2.0 * ((rest - kept) * before_edge + (1 - rest) * after)
     y, u = y[before:], u[before:]
     model = ct.ss([[-1 / tau]], [[2 / tau]], [[1]], 0, inputs="heat", outputs="T", states="T")
     noisy = y + 0.02 * y.std() * rng.standard_normal(n)

@@ -30,6 +30,7 @@ _NEAR = 5.0  # standard deviations, by which derivatives hardly change
 _FINE = 8  # times the substeps of the fit
 _EXACT = 0.1  # of its noise, below which a residual is that of the arithmetic
 _EQUAL = 0.01  # difference of the outputs of equal hypotheses, as a share of their change
+_SHIFTED = 0.1  # the same of two delays: an output is interpolated between samples, an input held
 
 
 @dataclass(frozen=True)
@@ -364,8 +365,9 @@ class Trial:
     def equals(self, other: Trial) -> bool:
         """Return whether another trial is the same change of the model.
 
-        Both have the same outputs for white inputs, to a hundredth of that change. Where they differ, their
-        effects are linear: two laws may be equal at one shape, or one amplitude, only.
+        Both have the same outputs for white inputs, to a hundredth of that change, or a tenth if only delays
+        differ. Where they differ, their effects are linear: two laws may be equal at one shape, or one
+        amplitude, only.
         """
         counts = [sum(len(e.free) for e in trial.effects) for trial in (self, other)]
         differing = {e.spec for e in {*self.effects} ^ {*other.effects}}
@@ -374,7 +376,8 @@ class Trial:
         if self.elsewhere is None or other.elsewhere is None:
             return False
         (one, without), (two, _) = self.elsewhere, other.elsewhere
-        return bool(np.linalg.norm(one - two) < _EQUAL * np.linalg.norm(one - without))
+        least = _SHIFTED if all(law.delays for law in differing) else _EQUAL
+        return bool(np.linalg.norm(one - two) < least * np.linalg.norm(one - without))
 
     def force_at(self, place: str) -> float:
         """Return the standard deviation of the force of the effects at a port."""
