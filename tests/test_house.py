@@ -35,7 +35,7 @@ ORDER = (
 #: Tokens of code (no docstring, comment, line end) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 7900, "arguments": 2156, "commands": 8329, "comparison": 28188, "data": 24688, "diagnosis": 73466,
+    ".": 7900, "arguments": 2156, "commands": 8329, "comparison": 28188, "data": 24688, "diagnosis": 74082,
     "effects": 30700, "engine": 49921, "examples": 2261, "exercises": 5074, "explorer": 11520, "export":
     6216, "fleet": 10358, "inference": 32730, "localization": 11722, "models": 42575, "refinement": 1850,
     "streaming": 73542, "systems": 5887, "views": 41371,

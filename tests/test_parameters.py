@@ -15,7 +15,7 @@ import rcorefine as rco
 from rcorefine.diagnosis.case import Case
 from rcorefine.diagnosis.nuisances import with_fitting_priors
 from rcorefine.diagnosis.search import Search
-from rcorefine.diagnosis.words import determined, numbers_that_moved
+from rcorefine.diagnosis.words import determined, fewest_changes, numbers_that_moved, others_nominal
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
 from rcorefine.inference.parameters import EstimatedParameter
@@ -102,6 +102,42 @@ def test_numbers_beyond_their_prior_are_found_and_not_pulled_back(factors: dict[
             z.append((row.value / row.initial - factors.get(name, 1.0)) / (row.std / row.initial))
     assert np.max(np.abs(z)) < norm.isf(0.005 / 24)
     assert np.sum(np.square(z)) < chi2.isf(0.005, len(z))
+
+
+def test_the_fewest_changes_that_explain_a_record_are_said() -> None:
+    found = rco.diagnose(BUILT, record(7, k1=0.8, c2=2.0))
+    assert found.verdict == "parameters"
+    said = " ".join(str(found).split()).partition(
+        "Two changed parameters explain the record (times nominal): "
+    )
+    first, second = (words.split() for words in said[2].split(". ")[0].split(" and "))
+    for name, ratio, _, std in (first, second):
+        assert abs(float(ratio) - {"k1": 0.8, "c2": 2.0}[name]) < 4 * float(std)
+    assert {first[0], second[0]} == {"k1", "c2"}
+
+
+def test_changes_given_that_others_are_nominal(rng: np.random.Generator) -> None:
+    """The minimum of the quadratic form over the free ones, by least squares."""
+    root = rng.standard_normal((5, 5))
+    C, change = root @ root.T, rng.standard_normal(5)
+    white = np.linalg.cholesky(np.linalg.inv(C)).T
+    for free in ([1], [0, 3]):
+        solution, left, *_ = np.linalg.lstsq(white[:, free], white @ change, rcond=None)
+        p, value, std = others_nominal(change, C, free)
+        assert p == pytest.approx(chi2.sf(left[0], 5 - len(free)))
+        np.testing.assert_allclose(value, solution, rtol=1e-9)
+        information = white[:, free].T @ white[:, free]
+        np.testing.assert_allclose(std**2, np.diag(np.linalg.inv(information)), rtol=1e-9)
+
+
+def test_two_parameters_of_which_the_product_is_known_are_both_said() -> None:
+    """The sum of the first two logarithms is known to 1e-4; one of them changed by 0.2."""
+    apart = np.array([1.0, -1.0, 0.0])
+    C = 0.005 * np.outer(apart, apart) + 1e-8 * np.eye(3)
+    sets = {tuple(free): value for free, value, _ in fewest_changes(np.array([0.1, 0.1, 0.0]), C)}
+    assert sets.keys() == {(0,), (1,)}
+    np.testing.assert_allclose(list(sets.values()), 0.2, rtol=1e-5)
+    assert not fewest_changes(np.array([1.0, 2.0, 3.0, 4.0, 5.0]), 1e-4 * np.eye(5))
 
 
 def asked(base: rco.Refinement, data: rco.Measurement) -> Search:
