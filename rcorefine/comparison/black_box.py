@@ -67,12 +67,13 @@ def black_box(data: Measurement, order: int = 4) -> ct.StateSpace:
             f"a black box of order {order} has {unknowns} coefficients for each output; it needs an input "
             f"and {5 * unknowns} samples, the record has {n_inputs} and {n_samples}"
         )
+    # one output-error model per output: y = B(q)/A(q) u
     blocks = [output_error(y, data.inputs, order)[0] for y in data.outputs]
     if any(block is None for block in blocks):
         y = data.output_labels[[block is None for block in blocks].index(True)]
         raise ModelError(f"no stable black box of order {order} describes {y}; try another order")
     b, a = (np.array([block[i] for block in blocks if block is not None]) for i in (0, 1))
-    states = [np.column_stack([-one[1:], np.eye(order, order - 1)]) for one in a]  # observer form
+    states = [np.column_stack([-ai[1:], np.eye(order, order - 1)]) for ai in a]  # observer form
     A, C = block_diag(*states), np.kron(np.eye(len(a)), np.eye(1, order))
     B = np.vstack([bi[:, 1:].T - np.outer(ai[1:], bi[:, 0]) for bi, ai in zip(b, a, strict=True)])
     D = b[:, :, 0]
@@ -101,9 +102,11 @@ def output_error(y: Array, inputs: Array, order: int) -> tuple[tuple[Array, Arra
     """
     start = np.zeros((order, y.size))
     np.fill_diagonal(start, 1.0)  # pulses at the first samples: the initial state
+    # columns: lagged inputs, the initial state, and an offset
     fixed = [lag for u in inputs for lag in _lags(u, range(order + 1))] + [*start, np.ones(y.size)]
     a, least = np.eye(1, order + 1)[0], np.inf
     best: tuple[Array, Array] | None = None
+    # Steiglitz-McBride: prefilter with 1/A, then least squares for A and B
     for _ in range(_ITERATIONS):
         past = _lags(lfilter([1.0], a, y), range(1, order + 1))
         columns = np.array([*(-row for row in past), *(lfilter([1.0], a, row) for row in fixed)]).T
@@ -113,9 +116,11 @@ def output_error(y: Array, inputs: Array, order: int) -> tuple[tuple[Array, Arra
         outside = np.abs(roots) > 1.0
         roots[outside] = 1.0 / roots[outside].conj()  # mirrored into the unit circle
         a = np.asarray(np.poly(roots).real)
+        # numerator, initial state and offset again for the stable A, by the simulation error
         driven = np.array([lfilter([1.0], a, row) for row in fixed]).T
         gains = np.linalg.lstsq(driven, y, rcond=1e-12)[0]
         error = float(np.linalg.norm(y - driven @ gains))
+        # keep the iterate with the smallest simulation error
         if error < least and np.abs(np.roots(a)).max(initial=0.0) < 1.0:
             least, best = error, (gains[: (order + 1) * len(inputs)].reshape(len(inputs), -1), a)
     return best, least

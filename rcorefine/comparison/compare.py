@@ -114,12 +114,14 @@ def compare(
     >>> bool(result.fit[1, 0] > 99.999), bool(result.fit[0, 0] < 60)
     (True, True)
     """
+    # measured frequency responses are compared over frequency, records over time
     responses = in_frequency(data)
     if responses:
         as_data(data, x0=x0, horizon=horizon, controller=controller)
     else:
         as_record(data)
         horizon = checked_horizon(horizon, known_start=as_state(x0) is not None)
+    # one model or several; a controller closes the loop around each
     several = isinstance(model, (list, tuple))
     models = [under_control(each, controller, data) for each in (model if several else [model])]
     if not models:
@@ -142,18 +144,23 @@ def _on_record(
     several: bool,
 ) -> Comparison:
     """The models run freely on one record."""
-    known = [one for one in map(known_physical, models) if one is not None]
-    looped = [one for one in known if one.controller is not None]
+    # models in a loop read their controller's signals from the record
+    known = [model for model in map(known_physical, models) if model is not None]
+    looped = [model for model in known if model.controller is not None]
     data = given = completed(looped[0], data) if looped else data
+    # a free decay without inputs: those of the model are zero
     data = resting_inputs(data, list(dict.fromkeys(label for each in linear for label in each.input_labels)))
+    # channels by label, otherwise by position
     channels = [match_channels(each, data) for each in linear]
     holds = [getattr(known_physical(each), "hold", None) or data.hold for each in models]
+    # compare the outputs that all models have
     outputs = [i for i in range(data.n_outputs) if all(i in each.outputs for each in channels)]
     if not outputs:
         raise ct.ControlDimension("the models have no output of the record in common; compare them alone")
     notes = [note for each in channels for note in each.notes]
     # for a refinement this includes its initial model, by which `refine` decided whether it integrates
-    runs_as = [as_it_runs(one, data) for one in looped] or [*linear, *(one.linear for one in known)]
+    runs_as = [as_it_runs(model, data) for model in looped] or [*linear, *(model.linear for model in known)]
+    # divide the record where a model cannot run over all of it
     estimated = isinstance(x0, str) and x0 == "estimate"
     windows, note = _windows(runs_as, data, horizon, estimated, len(outputs))
     notes += [note] if note else []
@@ -162,25 +169,30 @@ def _on_record(
         for name, hold in zip(names, holds, strict=True)
         if hold != data.hold
     ]
+    # inputs that do not vary cannot show the dynamics
     given.check_excitation("compare")
     if horizon is not None:
         data = data._changed(FreeRun)
     hidden = 0  # first samples that a delay hides from one of the models
+    # a delay makes the first outputs depend on inputs before the record
     if estimated:
         seen = [record_for(data, where) for where in channels]
         hidden = min(max(map(unjudged_samples, models, seen)), windows[0].stop // 2)
     made = []
     for each, flat, places, name in zip(models, linear, channels, names, strict=True):
+        # simulate each model, with the initial state of each window
         run, start, motion = _simulate(each, flat, places, data, x0, windows, hidden, name, outputs)
         notes += _beyond_tables(each, name, motion, record_for(data, places).inputs[:, hidden:])
         made.append((run, start, motion))
     runs, starts, states = zip(*made, strict=True)
+    # leave these samples out of the comparison
     if hidden:
         notes.append(
             f"the first {hidden} sample(s) are not compared: because of a delay in the model they depend on "
             "values before the record"
         )
         data = data.segment(float(data.timepts[hidden]))
+    # models with the channels in the order of the record
     straight = tuple(
         aligned(each, places, data, outputs).with_arrays(name=name)
         for each, places, name in zip(linear, channels, names, strict=True)
@@ -203,7 +215,7 @@ def _on_record(
         notes=tuple(dict.fromkeys(notes)),
         several=several,
         looped=bool(looped),
-        led=len(windows) == 1 and not looped and _led(known, linear, data),
+        led=len(windows) == 1 and not looped and _follows_record(known, linear, data),
     )
 
 
@@ -215,6 +227,7 @@ def _windows(
     Each window is long enough to estimate a state in it.
     """
     (windows,), note = free_runs(models, [data], horizon, known_start=not estimated)
+    # a window must determine its initial states and leave samples to judge by
     n_states = max(each.n_states for each in models)
     if estimated and data.n_samples * n_outputs <= n_states:
         raise DataError(
@@ -224,10 +237,13 @@ def _windows(
     return windows, note
 
 
-def _led(known: Sequence[PhysicalModel], linear: Sequence[LinearModel], data: Measurement) -> bool:
+def _follows_record(known: Sequence[PhysicalModel], linear: Sequence[LinearModel], data: Measurement) -> bool:
     """Return whether a model has no free run and follows the record instead."""
+    # an unstable model or an integrator that drifts is corrected by the record
     away = any(each.is_continuous and runs_away(each, data) for each in linear)
-    return away or any(leading_ratio(one, ordered_record(one, data)) is not None for one in known)
+    return away or any(
+        leading_ratio(physical, ordered_record(physical, data)) is not None for physical in known
+    )
 
 
 def _simulate(
@@ -247,6 +263,7 @@ def _simulate(
     these are left out.
     """
     record = record_for(data, channels)
+    # outputs that are measured; a plain state-space model may have others
     rows = [i for i, place in enumerate(channels.outputs) if place >= 0]
     if len(rows) < len(channels.outputs):
         if model is not getattr(model, "system", model):
@@ -259,11 +276,13 @@ def _simulate(
         model = linear.with_arrays(
             C=linear.C[rows], D=linear.D[rows], output_labels=tuple(linear.output_labels[i] for i in rows)
         ).to_statespace()
+    # outputs in the order of the record
     order = [[place for place in channels.outputs if place >= 0].index(place) for place in outputs]
     start = x0 if isinstance(x0, str) else np.asarray(x0, dtype=float)
     run = np.empty((len(outputs), data.n_samples))
     states = np.empty((len(windows), linear.n_states))
     motion = np.empty((linear.n_states, data.n_samples))
+    # each window begins with an initial state of its own
     for index, window in enumerate(windows):
         early = min(hidden, window.start)
         part = record
@@ -277,6 +296,7 @@ def _simulate(
         run[:, window] = simulation.outputs[order][:, early:]
         motion[:, window] = simulation.states[: linear.n_states, early:]
         states[index] = motion[:, max(window.start, hidden)]
+    # a free run that overflows is reported with its time
     if not np.isfinite(run).all():
         k = int(np.argmin(np.isfinite(run).all(axis=0)))
         why = f"its output is not finite from t = {data.timepts[k]:g} s on"
@@ -286,9 +306,10 @@ def _simulate(
 
 def _beyond_tables(model: Any, name: str, states: Array, inputs: Array) -> list[str]:
     """A sentence on each table that the motion of a model leaves."""
-    said = []
+    sentences = []
     for effect in getattr(model, "effects", ()):
         if isinstance(effect.law, Table):
+            # motion that the table depends on: signal, or displacement and velocity at the place
             physical, place = structure_of(model)[0].model, effect.place
             linear = physical.linear
             if place in linear.input_labels:
@@ -300,13 +321,14 @@ def _beyond_tables(model: Any, name: str, states: Array, inputs: Array) -> list[
                 port = physical.port(place)
                 d = port.position @ states + port.position_input @ inputs
                 v = port.velocity @ states + port.velocity_input @ inputs
+            # share of the samples outside the table
             share = share_beyond(effect.law, d, v)
             if share > 0.0:
-                said.append(
+                sentences.append(
                     f"the motion of {name!r} leaves the table of {effect.label} in {100 * share:.2g} % of "
                     "the samples; the table is extrapolated linearly there"
                 )
-    return said
+    return sentences
 
 
 _DIVERGED = (

@@ -62,6 +62,7 @@ class ErrorResponse(Row):
     @property
     def relative(self) -> Array:
         """Size of the error over that of the model, shape (n_y, n_w, n_omega)."""
+        # |error| / |model|, NaN where the model is zero
         size = np.abs(self.model)
         ratio = np.divide(np.abs(self.error), size, out=np.full(size.shape, np.nan), where=size > 0)
         return np.asarray(ratio)
@@ -114,6 +115,7 @@ def model_error(
     >>> bool(model_error(rco.compare(plant, data)).differs.any())
     False
     """
+    # frequency response from the inputs to the residual, with its standard deviation
     data = comparison.seen_by(model)
     residual = Measurement(
         data.inputs, data.outputs - comparison.runs[model], dt=data.dt, hold=data.hold,
@@ -124,6 +126,7 @@ def model_error(
     # std is that of one component: the squared radius over 2 std^2 follows F
     radius = found.std * np.sqrt(2.0 * stats.f.ppf(0.95, 2, free))
     count = found.response.size
+    # simultaneous band: Sidak's correction over all points
     wide = found.std * np.sqrt(2.0 * stats.f.isf(1.0 - 0.95 ** (1.0 / count), 2, free))
     seen = as_sampled(comparison.models[model], data.dt, data.hold)
     response = frequency_response(seen, found.omega)
@@ -175,6 +178,7 @@ def horizon_error(comparison: Comparison, steps: Any = None) -> HorizonError:
     -------
     HorizonError
     """
+    # up to a quarter of the longest free run
     data = comparison.data
     longest = int(max(np.diff([*comparison.starts, data.n_samples])))
     if steps is None:
@@ -182,6 +186,7 @@ def horizon_error(comparison: Comparison, steps: Any = None) -> HorizonError:
     ahead = np.atleast_1d(np.asarray(steps, dtype=np.int64))
     if ahead.ndim != 1 or ahead.size == 0 or (ahead < 1).any() or (ahead >= data.n_samples).any():
         raise DataError(f"steps must be whole numbers of samples from 1 to {data.n_samples - 1}, not {steps}")
+    # error of each model at each horizon, beside that of the free run
     rmse = np.array([_errors(comparison, i, ahead) for i in range(len(comparison.names))])
     free = np.sqrt(np.mean((data.outputs[None] - comparison.runs) ** 2, axis=2))
     return HorizonError(
@@ -196,10 +201,11 @@ def _errors(comparison: Comparison, index: int, ahead: NDArray[np.int64]) -> Arr
     """
     scene = ModelOnRecord(comparison, index, searched=False)
     residual = (scene.measured - scene.run).T.copy()
+    # residual in units of the outputs' scale; transition matrix of the linear part
     Phi, C = np.ascontiguousarray(scene.transition), scene.model.C / scene.scale
     gain = _gain(Phi, scene.drive, C, residual, scene)
     # the error is carried on by the linear part: what a correction takes off now fades as it does
-    total, count = _missed(Phi, C, gain, residual, scene.reset, ahead)
+    total, count = _prediction_errors(Phi, C, gain, residual, scene.reset, ahead)
     with np.errstate(all="ignore"):
         error = np.sqrt(total / np.maximum(count, 1)[:, None])
     error[count == 0] = np.nan
@@ -217,30 +223,35 @@ def _gain(Phi: Array, drive: Array, C: Array, residual: Array, scene: ModelOnRec
     # every direction of the state may be disturbed a little: an integrator must not escape
     size = np.sqrt(np.mean(scene.states**2, axis=1))
     size = np.where(size > 0, size, max(float(size.max(initial=0.0)), 1.0))
+    # noise covariances: unknown input of this level, and a little on every state
     moved = drive * np.maximum(scene.data.inputs.std(axis=1), 1e-300)
     best: tuple[float, Array] | None = None
     for level in _LEVELS:
         Q = level**2 * (moved @ moved.T) + (1e-3 * level) ** 2 * np.diag(size**2)
         R = _NOISE**2 * np.eye(ny)
+        # steady-state Kalman gain of the scaled system
         scaled = steady_filter(Phi * size / size[:, None], C * size, Q / np.outer(size, size), R)
         K = scaled.gain * size[:, None]
         if not np.isfinite(K).all():
             continue
-        error = float(_missed(Phi, C, K, residual, scene.reset, np.array([1]))[0].sum())
+        # keep the gain with the smallest one-step error
+        error = float(_prediction_errors(Phi, C, K, residual, scene.reset, np.array([1]))[0].sum())
         if np.isfinite(error) and (best is None or error < best[0]):
             best = error, K
     return np.zeros((n, ny)) if best is None else best[1]
 
 
-def _missed(
+def _prediction_errors(
     Phi: Array, C: Array, K: Array, residual: Array, reset: NDArray[np.uint8], ahead: NDArray[np.int64]
 ) -> tuple[Array, Array]:
     """Return sums of squared prediction errors by horizon, and their counts."""
     N = len(residual)
+    # filter the residual: states (n, N) after each correction
     states = observed(Phi, C, K, residual, reset)
     ends = np.append(np.flatnonzero(reset)[1:], N)
     last = ends[np.cumsum(reset) - 1]  # the end of the free run that a sample belongs to
     total, count = np.zeros((ahead.size, len(C))), np.zeros(ahead.size)
+    # prediction h samples ahead: C Phi^h x
     for j, h in enumerate(ahead):
         at = np.flatnonzero(np.arange(h, N) < last[: N - h])
         error = residual[at + h] - (C @ np.linalg.matrix_power(Phi, int(h)) @ states[:, at]).T

@@ -50,13 +50,14 @@ class FrequencyComparison(Reported):
     several: bool
     linear: bool = True
 
-    def _shaped(self, array: NDArray[Any]) -> NDArray[Any]:
+    def _per_model(self, array: NDArray[Any]) -> NDArray[Any]:
+        # leading axis over the models only where a list was given
         return array if self.several else array[0]
 
     @property
     def residual(self) -> NDArray[np.complex128]:
         """Measured minus model, shape (n_y, n_w, n_omega) or (n_models, ...)."""
-        return np.asarray(self._shaped(self.measured.response[None] - self.responses))
+        return np.asarray(self._per_model(self.measured.response[None] - self.responses))
 
     @property
     def fit(self) -> Array:
@@ -64,7 +65,8 @@ class FrequencyComparison(Reported):
 
         100 (1 - norm(G - Gh) / norm(G - mean(G))) of the complex responses.
         """
-        return np.asarray(self._shaped(fit_percent(self.measured.response[None], self.responses)))
+        # as for time signals, with complex values
+        return np.asarray(self._per_model(fit_percent(self.measured.response[None], self.responses)))
 
     @property
     def over_noise(self) -> Array:
@@ -73,11 +75,12 @@ class FrequencyComparison(Reported):
         It is taken over real and imaginary parts, shape as `fit`. It is 1 where only noise is left, and NaN
         where `std` of the response is not known.
         """
+        # std holds for real and imaginary part each: half of the squared magnitude
         std = self.measured.std
         error = np.abs(self.measured.response[None] - self.responses)
         if std is None or not std.all():
-            return np.asarray(self._shaped(np.full(error.shape[:-1], np.nan)))
-        return np.asarray(self._shaped(np.sqrt(0.5 * np.mean((error / std) ** 2, axis=-1))))
+            return np.asarray(self._per_model(np.full(error.shape[:-1], np.nan)))
+        return np.asarray(self._per_model(np.sqrt(0.5 * np.mean((error / std) ** 2, axis=-1))))
 
     @property
     def relative_error(self) -> Array:
@@ -85,8 +88,9 @@ class FrequencyComparison(Reported):
 
         Shape (n_y, n_w, n_omega) or (n_models, ...).
         """
+        # relative to the measured response, infinite at its zeros
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(self._shaped(np.abs(self.responses / self.measured.response[None] - 1.0)))
+            return np.asarray(self._per_model(np.abs(self.responses / self.measured.response[None] - 1.0)))
 
     @property
     def worst(self) -> Array:
@@ -94,8 +98,9 @@ class FrequencyComparison(Reported):
 
         The error is taken relative to the largest magnitude.
         """
+        # frequency of the largest absolute error
         error = np.abs(self.measured.response[None] - self.responses)
-        return np.asarray(self._shaped(self.measured.omega[np.argmax(error, axis=-1)]))
+        return np.asarray(self._per_model(self.measured.omega[np.argmax(error, axis=-1)]))
 
     @picture
     def plot(
@@ -189,16 +194,19 @@ def compare_responses(
     control.ControlDimension
         If channels do not fit.
     """
-    found = [_compared(given, models, measured, several) for measured in as_responses(data)]
+    # amplitude by amplitude
+    found = [_compare_one(given, models, measured, several) for measured in as_responses(data)]
     return LevelComparison(tuple(found)) if isinstance(data, (list, tuple)) else found[0]
 
 
-def _compared(
+def _compare_one(
     given: Sequence[Any], models: Sequence[LinearModel], measured: FrequencyResponse, several: bool
 ) -> FrequencyComparison:
-    straight = [_ordered(model, measured) for model in models]
-    whole = [_with_effects(one, model, measured) for one, model in zip(given, models, strict=True)]
+    # channels in the order of the measured response
+    straight = [_in_order_of(model, measured) for model in models]
+    whole = [_with_effects(each, model, measured) for each, model in zip(given, models, strict=True)]
     responses = []
+    # sampled models with the hold of the measurement; nonlinear ones by harmonic balance
     for model, own in zip(straight, whole, strict=True):
         seen = as_sampled(model, measured.dt, measured.hold) if measured.dt > 0 else model
         responses.append(frequency_response(seen, measured.omega) if own is None else own)
@@ -219,11 +227,13 @@ def _with_effects(
 
     None if the linear part of the model holds all effects.
     """
+    # only a model with effects can be nonlinear
     if getattr(given, "simulation_structure", None) is None:
         return None
     structure, theta, _ = structure_of(given)
     if structure.is_linear or structure.field is not None:
         return None
+    # response at the amplitude of the measurement
     record = ResponseRecord.plain(measured, linear)
     response = ResponseEngine(structure, record).response(theta, derivatives=False)[0]
     rows = _order("output", linear.output_labels, measured.output_labels, linear.name)
@@ -231,8 +241,9 @@ def _with_effects(
     return response[np.ix_(rows, columns)]
 
 
-def _ordered(model: LinearModel, measured: FrequencyResponse) -> LinearModel:
+def _in_order_of(model: LinearModel, measured: FrequencyResponse) -> LinearModel:
     """The model with its channels in the order of the response."""
+    # rows are outputs, columns inputs
     rows = _order("output", model.output_labels, measured.output_labels, model.name)
     columns = _order("input", model.input_labels, measured.input_labels, model.name)
     return model.with_arrays(
@@ -242,6 +253,7 @@ def _ordered(model: LinearModel, measured: FrequencyResponse) -> LinearModel:
 
 
 def _order(what: str, own: Sequence[str], wanted: Sequence[str], name: str) -> list[int]:
+    # by label, otherwise by position
     if set(wanted) <= set(own):
         return [list(own).index(label) for label in wanted]
     if len(own) != len(wanted):

@@ -85,7 +85,8 @@ class Comparison(Reported):
     # searched once, when first asked for
     _found: dict[int, FailureMap] = field(default_factory=dict, init=False, repr=False)
 
-    def _shaped(self, array: Array) -> Array:
+    def _per_model(self, array: Array) -> Array:
+        # leading axis over the models only where a list was given
         return array if self.several else array[0]
 
     @property
@@ -94,7 +95,8 @@ class Comparison(Reported):
 
         100 (1 - norm(y - yh) / norm(y - mean(y))); NaN for a constant output.
         """
-        return self._shaped(fit_percent(self.data.outputs[None], self.runs))
+        # NRMSE fit, per model and output
+        return self._per_model(fit_percent(self.data.outputs[None], self.runs))
 
     @property
     def nrmse(self) -> Array:
@@ -107,17 +109,18 @@ class Comparison(Reported):
 
         Shape (n_y,) or (n_models, n_y).
         """
-        return self._shaped(root_mean_square(self.data.outputs[None] - self.runs))
+        return self._per_model(root_mean_square(self.data.outputs[None] - self.runs))
 
     @property
     def residual(self) -> Array:
         """Measured minus simulated, shape (n_y, N) or (n_models, n_y, N)."""
-        return self._shaped(self.data.outputs[None] - self.runs)
+        # measured minus simulated, (n_models, n_y, N)
+        return self._per_model(self.data.outputs[None] - self.runs)
 
     @property
     def simulated(self) -> Array:
         """Simulated outputs, shape (n_y, N) or (n_models, n_y, N)."""
-        return self._shaped(self.runs)
+        return self._per_model(self.runs)
 
     @property
     def failures(self) -> Any:
@@ -130,6 +133,7 @@ class Comparison(Reported):
         """
         from .failure_map.search import failure_map
 
+        # search each model once
         for index in range(len(self.names)):
             if index not in self._found:
                 self._found[index] = failure_map(self, index)
@@ -151,11 +155,13 @@ class Comparison(Reported):
 
         None if no input is periodic.
         """
+        # needs a periodic input: noise from the scatter over periods
         return line_levels(self.data)
 
     @property
     def responses(self) -> tuple[ct.TimeResponseData, ...]:
         """Simulated outputs as `control.TimeResponseData`, one per model."""
+        # one response object per model, time as in the record
         return tuple(
             ct.TimeResponseData(
                 self.data.timepts.copy(),
@@ -181,6 +187,7 @@ class Comparison(Reported):
         -------
         Measurement
         """
+        # input held as the model was fitted
         return self.data.with_hold(self.holds[as_whole(index, "index", most=len(self.holds) - 1)])
 
     def select(self, name: str | int) -> Comparison:
@@ -201,6 +208,7 @@ class Comparison(Reported):
         control.ControlArgument
             If there is no such model; the message lists those that exist.
         """
+        # by name, or by index as in a list
         if isinstance(name, str) and name in self.names:
             index = self.names.index(name)
         elif (
@@ -211,6 +219,7 @@ class Comparison(Reported):
             index = name % len(self.names)
         else:
             raise ct.ControlArgument(f"no model {shown(name)}; there are {', '.join(map(repr, self.names))}")
+        # all fields with an axis over the models
         return replace(
             self,
             names=(self.names[index],),
@@ -290,6 +299,7 @@ def failures_of(result: Comparison, index: int = 0) -> FailureMap:
 
 def best_of(result: Comparison) -> int:
     """Return the index of the model that fits best, mean over the outputs."""
+    # mean fit over outputs; a model without any fit comes last
     fits = np.atleast_2d(result.fit)
     means = np.where(np.isnan(fits).all(axis=1), -np.inf, np.nan_to_num(fits, nan=0.0).mean(axis=1))
     return int(np.argmax(means))

@@ -48,9 +48,11 @@ def fit_percent(measured: ArrayLike, simulated: ArrayLike) -> Array:
     y, yh = np.asarray(measured) + 0.0, np.asarray(simulated) + 0.0
     if y.ndim == 0 or y.shape[-1:] != yh.shape[-1:]:
         raise ct.ControlDimension(f"measured has shape {y.shape} and simulated {yh.shape}; time comes last")
+    # norm of the output about its mean
     spread = np.linalg.norm(y - y.mean(axis=-1, keepdims=True), axis=-1)
     error = np.linalg.norm(y - yh, axis=-1)
     spread = np.broadcast_to(spread, error.shape)
+    # a constant output has no fit
     constant = np.broadcast_to((y == y[..., :1]).all(axis=-1), error.shape)
     ratio = np.divide(error, spread, out=np.full(error.shape, np.nan), where=~constant)
     return np.asarray(100.0 * (1.0 - ratio))
@@ -115,10 +117,12 @@ def correlogram(
     3
     """
     x, y = (np.ravel(np.asarray(v, dtype=float)) for v in (first, second))
+    # lags on both sides
     steps = np.arange(-lags, lags + 1)
     same = x is y or np.array_equal(x, y)
     # beyond a quarter of the record an autocorrelation is noise only
     reach = np.arange(-(x.size // 4), x.size // 4 + 1)
+    # Bartlett: variance of a cross-correlation, from both autocorrelations
     spread = 1.0 if same else float(_correlation(x, x, reach) @ _correlation(y, y, reach))
     bound = float(stats.norm.isf((1 - probability) / 2)) * np.sqrt(max(spread, 1.0 / x.size) / x.size)
     return Correlogram(steps.astype(float), _correlation(x, y, steps), np.full(steps.size, bound))
@@ -191,9 +195,11 @@ def decay_of(signal: Array, dt: float, start: float = 0.0) -> Decay:
     >>> print(found.damping_ratio.round(4)[:3], found.period.round(3)[0])
     [0.01 0.01 0.01] 1.257
     """
+    # noise from second differences, robust: median absolute value
     noise = float(np.median(np.abs(np.diff(signal, 2)))) / (0.6745 * np.sqrt(6.0))
     level = float(np.median(signal))
     for _ in range(3):  # the level is the middle of the extremes
+        # half cycles between crossings of the level, small values left out
         sign = np.sign(signal - level) * (np.abs(signal - level) > _NOISE * noise)
         known = np.flatnonzero(sign)
         turns = np.flatnonzero(np.diff(sign[known])) + 1
@@ -203,10 +209,12 @@ def decay_of(signal: Array, dt: float, start: float = 0.0) -> Decay:
                 f"the signal swings through {len(halves)} half cycle(s) above its noise; a decay needs at "
                 "least four: give a longer record, or one from the release on"
             )
+        # extreme of each half cycle by a parabola
         found = [_extreme(signal - level, *half) for half in halves]
-        at, value = np.array([one for one in found if one is not None]).T
+        at, value = np.array([extreme for extreme in found if extreme is not None]).T
         level += float(np.mean(0.25 * (value[:-2] + 2 * value[1:-1] + value[2:])))
     amplitude, period = 0.5 * np.abs(np.diff(value)), 2.0 * dt * np.diff(at)
+    # logarithmic decrement per half cycle
     decrement = _slopes(-np.log(amplitude))
     ratio = decrement / np.sqrt(np.pi**2 + decrement**2)
     return Decay(start + dt * 0.5 * (at[1:] + at[:-1]), amplitude, period, ratio)
@@ -221,6 +229,7 @@ def _extreme(signal: Array, first: int, last: int) -> tuple[float, float] | None
     peak = first + int(np.argmax(np.abs(part)))
     reach = max(2, int(_WITHIN * (last - first)))
     low, high = max(peak - reach, 0), min(peak + reach + 1, signal.size)
+    # least-squares parabola about the peak
     x = np.arange(low, high) - peak
     a, b, c = np.polyfit(x, signal[low:high], 2)
     if a == 0 or not x[0] < -0.5 * b / a < x[-1]:

@@ -52,6 +52,7 @@ class Beside:
         Empty if the place is not a port, or if nothing moves there.
         """
         fitted, ratio = self._tested.fitted, self._tested.ratio
+        # forces along the motion at the port: a free curve, and stops of several radii
         curve = curve_at(fitted, self.place, ratio)
         if curve is None:
             return {}
@@ -61,6 +62,7 @@ class Beside:
             "free force": [curve.columns(d, v) @ curve.root for d, v in motions],
             "memory": [stops(d if curve.d.size else v, scale) for d, v in motions],
         }
+        # scale: total force of rms 1, so that priors compare
         for name, blocks in made.items():
             size = float(np.sqrt(np.mean(np.sum(np.concatenate(blocks) ** 2, axis=1))))
             made[name] = [block / (size or 1.0) for block in blocks]
@@ -76,6 +78,7 @@ class Beside:
         fitted, tested = self._tested.fitted, self._tested
         gain, found = fitted.gain(tested.ratio), {}
         responses = {}
+        # response of the outputs to each force, by the linearized model
         for name, blocks in self._forces.items():
             forces = [[(self.place, column) for column in block.T] for block in blocks]
             responses[name] = [force_responses(fitted, i, f, gain) for i, f in enumerate(forces)]
@@ -83,6 +86,7 @@ class Beside:
         if not responses and curve is not None and not tested.ratio:  # a predictor follows any sensor
             responses["free curve"] = curve
         for name, blocks in responses.items():
+            # whiten, then project out what the fitted coefficients can explain
             columns = project(tested.whiten(blocks), tested.basis)
             if np.isfinite(columns).all() and columns.any():
                 found[name] = columns
@@ -125,6 +129,7 @@ class Beside:
         """
         if not self._columns:
             return -np.inf
+        # averaged over the sizes of a normal prior; several families count equally
         each = []
         for columns in self._columns.values():
             scale = size / float(np.linalg.norm(columns)) if self.at_channel else size
@@ -137,11 +142,13 @@ def nested(tested: TestedResidual, name: str, columns: Array) -> FTest:
 
     Its p-value is the smallest one times the number of sets (Bonferroni).
     """
+    # principal directions of the columns, the largest first
     columns = columns / np.linalg.norm(columns)
     values, vectors = np.linalg.eigh(columns.T @ columns)
     kept = values > _SEEN * values[-1]
     directions = columns @ vectors[:, kept][:, ::-1]
     counts = [k for k in _NESTED if k < directions.shape[1]] + [directions.shape[1]]
+    # F-tests of 1, 2, 4, ... directions
     tests = [tested.of_white(name, directions[:, :k]) for k in counts]
     best = min(tests, key=lambda t: t.p_value)
     p, p_equal = (min(1.0, len(tests) * value) for value in (best.p_value, min(t.p_equal for t in tests)))
@@ -152,6 +159,7 @@ def curve_at(fitted: FittedModel, place: str, ratio: float) -> Curve | None:
     """Return the knots of a free curve at a port, None without motion there."""
     if place not in [port.name for port in fitted.structure.model.ports]:
         return None
+    # knots from the range of the motion
     d, v = motion_at(fitted, place, ratio)
     return Curve.along(place, d, v) if np.isfinite([d, v]).all() and (np.ptp(d) or np.ptp(v)) else None
 
@@ -167,6 +175,7 @@ def channel_curve(fitted: FittedModel, label: str) -> Curve | None:
     if label not in (*model.input_labels, *model.output_labels):
         return None
     signals = [channel_signal(fitted, label, i) for i in range(len(fitted.problem.records))]
+    # samples that a delay hides from an output are left out
     if kind == OutputCurve.name:
         j = list(model.output_labels).index(label)
         signals = [x[w[j] > 0] for x, w in zip(signals, fitted.problem.judged(fitted.theta), strict=True)]
@@ -196,6 +205,7 @@ def stops(x: Array, scale: float, radii: Sequence[float] = _RADII) -> Array:
     found = np.empty((x.size, len(radii)))
     for column, radius in zip(found.T, radii, strict=True):
         z, reach = 0.0, radius * scale
+        # Prandtl's stop operator: a spring that slips at its limit
         for k, moved in enumerate(np.diff(x, prepend=x[0])):
             z = min(max(z + moved, -reach), reach)
             column[k] = z
@@ -236,6 +246,7 @@ class FreeStiffness:
         blocks = []
         for engine in fitted.problem.engines:
             assert isinstance(engine, ResponseEngine)
+            # motion at the place, times smooth shapes over frequency, real and imaginary
             felt = engine.push(fitted.theta, self.place)
             if felt is None:
                 return None
@@ -276,6 +287,7 @@ class FreeStiffness:
             return -np.inf
         theta, own = self._tested.fitted.theta, before.problem.n_theta
         changed = []
+        # size of the effect's own contribution to the outputs, whitened
         for engine, plain in zip(self._tested.fitted.problem.engines, before.problem.engines, strict=True):
             run, without = engine.run(theta, sensitivity=False), plain.run(theta[:own], sensitivity=False)
             changed.append(self._tested.fitted.problem.weights[:, None] * (run.outputs - without.outputs))

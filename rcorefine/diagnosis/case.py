@@ -98,6 +98,7 @@ class Case:
         self.settings = {"matters": known.matters} | settings
         self.levels = replace(known, matters=self.settings["matters"])
         physical = base.physical_model
+        # records with the channels in the order of the model
         self.ordered = ordered = [ordered_record(physical, r) for r in records]
         least = _FEWEST if in_frequency(ordered) else SHORTEST
         for record in ordered:
@@ -106,13 +107,17 @@ class Case:
                     f"record {record.name!r} of {record.n_samples} samples is too short to test; "
                     f"give at least {least}{' (real and imaginary parts count)' if least == _FEWEST else ''}"
                 )
+        # free runs: whole records, or windows where the model cannot run freely
         segments, _ = windows(physical, ordered, settings["horizon"])
         self.cut = len(segments) > len(ordered)
+        # the fit as it is, with its residual and sensitivities
         fitted = fitted_from(base, segments, tolerance=settings["tolerance"], noise=settings["noise"])
         self.fitted = fitted
+        # motion of each record, by the model corrected with the measured outputs
         self.motions = [estimated_motion(fitted.structure, fitted.theta, record) for record in segments]
         if len(records) > 1:
             self.motions[0].companions = self.motions[1:]
+        # candidates that the records can show and the model does not hold
         library = candidates_of(physical) if asked is None else asked
         library = seen_in(physical, library, ordered, asked is not None)
         self.library = not_held(self._distinct(library) if asked is None else library, base.effects)
@@ -162,6 +167,7 @@ class Case:
 
         A residual passes, too, if it is no larger than the numerical error.
         """
+        # residual in weighted units against the numerical error of the simulation
         left, records = np.concatenate(fitted.residuals(), axis=1), fitted.problem.records
         whole = fitted.problem.weights[:, None] * np.concatenate([r.outputs for r in records], axis=1)
         whole = whole - self.in_time * whole.mean(axis=1, keepdims=True)
@@ -219,10 +225,12 @@ def with_recorded_inputs(model: Any, records: Sequence[Any]) -> tuple[Any, tuple
     linear = physical.linear
     if in_frequency(records) or physical.controller is not None or physical.operating_point is not None:
         return model, ()
+    # inputs that all records have and the model lacks
     shared = [label for label in records[0].input_labels if all(label in r.input_labels for r in records)]
     extra = [label for label in shared if label not in linear.input_labels]
     if not extra or not set(linear.input_labels) <= set(shared):
         return model, ()
+    # zero columns of B and D for them
     wider = np.zeros((linear.n_states + linear.n_outputs, len(extra)))
     units = dict(zip(records[0].input_labels, records[0].input_units, strict=True))
     physical = replace(
@@ -329,6 +337,7 @@ def _seen_at_rest(physical: PhysicalModel, candidates: Sequence[Effect], asked: 
         If one was asked for that it cannot show.
     """
     inputs = set(physical.linear.input_labels)
+    # with the input at rest, an effect on the input or a linear one at an output is hidden
     hidden = [
         e
         for e in candidates
@@ -358,6 +367,7 @@ def no_motion(records: Sequence[Measurement]) -> str:
     """
     labels = records[0].output_labels
     still = []
+    # an output that hardly takes more than one value does not move
     for i, label in enumerate(labels):
         y = np.concatenate([record.outputs[i] for record in records])
         least = 1e-9 * max(float(np.abs(y).max()), 1e-300)
@@ -457,6 +467,7 @@ def common_horizon(
         Of the windows of the whole record where the model integrates: a part would choose shorter ones.
     notes : list of str
     """
+    # the windows of the longest part hold for all parts
     pieces, note = windows(physical, list(records), horizon)
     if horizon is not None or len(pieces) == len(records):
         return horizon, []
@@ -497,6 +508,7 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
         if record is not given
     )
     many = len(kept) >= _BY_RECORD and min(record.n_samples for record in kept) >= SHORTEST
+    # many records are split as wholes, few in time
     parts = _in_turn(kept, validation is not None) if many else _in_time(kept, validation is not None)
     fit = parts["fit"]
     climbed, whole = excerpt(fit), sum(record.n_samples for record in fit)
@@ -515,6 +527,7 @@ def _in_time(records: Sequence[Measurement], validated: bool) -> dict[str, list[
     parts: dict[str, list[Measurement]] = {name: [] for name in _TURNS}
     share = _FIT / (_FIT + _CHOOSE) if validated else _FIT
     least = round(SHORTEST / share)
+    # 60 % to fit, 20 % to choose, 20 % to validate
     for record in records:
         if record.n_samples < least:
             another = "" if validated else ", or another record as validation="
@@ -548,8 +561,10 @@ def moving(record: Measurement) -> Measurement:
     if record.n_samples < SHORTEST:
         return record
     y, length = record.outputs, max(record.n_samples // 50, 4)
+    # noise from second differences, robust
     noise = np.median(np.abs(np.diff(y, 2, axis=1)), axis=1) / (0.6745 * np.sqrt(6.0))
     pieces = np.array_split(np.arange(record.n_samples), record.n_samples // length)
+    # the last piece in which an output moves clearly beyond its noise
     alive = [bool((np.ptp(y[:, piece], axis=1) > _DEAD * noise).any()) for piece in pieces]
     last = int(pieces[max(np.flatnonzero(alive), default=-1)][-1]) + 1
     return record if last == record.n_samples else record._part(slice(0, last))
@@ -564,6 +579,7 @@ def _lines_in_parts(responses: Sequence[Any], validation: Any) -> Parts:
             raise DataError(
                 f"a response of {size} frequencies is too short to be split in three; give {_FEWEST_POINTS}"
             )
+        # every fifth frequency to the same part: each covers the band
         for name, which in _in_turn(range(size), validation is not None).items():
             parts[name].append(some_lines(response, np.array(which, dtype=int)))
     judge = parts["judge"] if validation is None else [validation]
@@ -580,6 +596,7 @@ def excerpt(records: list[Measurement]) -> list[Measurement]:
     """
     if sum(record.n_samples for record in records) <= _EXCERPT:
         return records
+    # pieces spread evenly over the records
     spread = np.unique(np.linspace(0, len(records) - 1, min(len(records), _MOST_RECORDS)).astype(int))
     each = _EXCERPT // spread.size
     pieces = []

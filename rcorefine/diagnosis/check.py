@@ -112,8 +112,10 @@ def check(
         raise DataError(f"a record of {data.n_samples} samples is too short to look over; give {_SHORTEST}")
     model = under_control(model, controller, data)
     with own_arithmetic(), unheard():
+        # signals, sampling, gains and levels; stop before the long part if something must be corrected
         record, rows = _looked_over(model, data, None)
         stopped = any(row.status == STOP for row in rows)
+        # smallest effects that the record would show
         shown = _shown(model, record) if information and not stopped else ()
         own = () if effects is None or stopped else _own(model, record, as_effects(effects, "effects"))
         rows += _idle_rows(model, data)
@@ -163,6 +165,7 @@ def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[
     point = None if physical is None else physical.operating_point
     straight = point is None or point.field is None  # of a nonlinear model a gain says little
     controller = None if physical is None else physical.controller
+    # about an operating point: compare deviations of the record and of the model
     about = physical is not None and point is not None and straight and controller is None
     if physical is not None and point is not None and about:  # beside what the record has above the point
         compared = _compared(physical.system, ordered_record(physical, data), horizon)
@@ -171,11 +174,13 @@ def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[
     else:
         compared = _compared(model, data, horizon)
     record = data if compared is None or about else compared.data
+    # signals alone first, then levels, then the simulation
     rows = list(signal_rows(record if data.n_inputs else data))
     levels = list(level_rows(data, point, compared)) if straight else []
     linear = LinearModel.from_statespace(getattr(model, "system", model))
     sampling = sampling_rows(linear, record, controller is not None)
     if compared is None:
+        # an unstable model has no free run to compare
         diverges = CheckRow(
             STOP, "free run", "", "diverges",
             "The simulation diverges, so the model cannot be compared with the record. Give compare a short "
@@ -184,6 +189,7 @@ def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[
         return record, [*rows, *levels, *sampling, diverges]
     if controller is not None:
         return record, [*rows, *levels, *sampling, *controller_rows(controller, linear, data)]
+    # gains need a free run of a linear model
     gains: list[CheckRow] = []
     if straight and not compared.led:
         gains = list(gain_rows(compared, _units(physical, data, compared)))
@@ -216,6 +222,7 @@ def _own(model: Any, data: Measurement, effects: Sequence[Effect]) -> list[tuple
 
     The size is None if the record shows none.
     """
+    # effects without their values: only one size each is free
     bare = []
     for effect in effects:
         sizes = [name for name in effect.coefficients if name not in effect.spec.shaping]
@@ -236,6 +243,7 @@ def _against(effect: Effect, found: Detectable | None) -> CheckRow:
     if found is None:
         said = f"This record cannot show {effect.label}."
         return CheckRow(LOOK, "information", effect.place, f"{effect.kind}: not seen", said)
+    # the size in the user's model against the smallest that the record shows
     value = {**effect.start, **effect.fixed}.get(found.coefficient)
     least = f"{found.smallest:.3g} {found.unit}".strip()
     status, word = OK, f"from {least}"
@@ -248,6 +256,7 @@ def _against(effect: Effect, found: Detectable | None) -> CheckRow:
 
 def _shown(model: Any, data: Measurement, effects: Sequence[Effect] | None = None) -> tuple[Detectable, ...]:
     """Smallest coefficients that one of the tests of `diagnose` would show."""
+    # fit the model as it is, then power of the tests for each candidate
     try:
         base = base_fit(model, [data], free=(), tolerance=0.0, offset=True, noise=None)
         case = Case(base, [data], effects, dict(_SETTINGS), 0.01, Progress())
@@ -265,6 +274,7 @@ def _information_rows(
     A parameter counts as not seen if the record would not even show that it doubles. The smallest size falls
     with the root of the length at least. Windows of a model that integrates show less than the whole record.
     """
+    # changes relative to the nominal values
     nominal = {(q.kind, q.place): abs(q.value) for q in model.parameters if q.value}
     shares = {
         d.effect.label: d.smallest / nominal[key]
@@ -280,6 +290,7 @@ def _information_rows(
         )
         said += f" Changes of parameters: from {ends}."
     seen = CheckRow(OK, "information", "", f"{counted(len(shown), 'effect')} tried", said)
+    # not seen: even a doubling would be missed; the size falls with the root of the length
     blind = []
     for label, share in shares.items():
         if share > 1.0:

@@ -99,6 +99,7 @@ def gain_rows(compared: Comparison, units: Sequence[str] = ()) -> Iterator[Check
 
 def settling(linear: LinearModel, dt: float, edges: list[int]) -> list[Array]:
     """Free responses of each state in each window, (n_y, N, n)."""
+    # free responses C Phi^k
     step, most = to_discrete(linear, dt).A, int(np.diff(edges).max())
     rows = np.empty((most, *linear.C.shape))
     rows[0] = linear.C
@@ -122,19 +123,23 @@ def _gain(y: Array, run: Array, nuisances: list[Array], least: float) -> _Gain |
     def without(row: Array) -> Array:
         return np.concatenate([project(part, q) for part, q in zip(np.split(row, ends), bases, strict=True)])
 
+    # project out initial state and level, window by window
     a, b = without(run), without(y)
     if np.linalg.norm(a) <= least:
         return None
+    # cross-correlation over lags up to a tenth of the record
     both = correlate(b, a, mode="full", method="fft") / (np.linalg.norm(a) * np.linalg.norm(b) or 1.0)
     reach = min(n // 10, 200)
     near = both[n - 1 - reach : n + reach]
     now = float(near[reach])
     best = int(np.argmax(np.abs(near) if abs(now) < _RELATED else np.sign(now) * near)) - reach
     then = float(near[best + reach])
+    # log-likelihood ratio of the best lag against none
     later = 0.5 * n * np.log(max(1 - now**2, 1e-12) / max(1 - then**2, 1e-12))
     delay = best if later > _LATER and abs(then) > _RELATED else 0
     moved = run[np.clip(np.arange(n) - delay, 0, n - 1)]
     a = without(moved)
+    # gain by least squares, and the share of the error that it explains
     value = float(a @ b) / float(a @ a)
     left = b - value * a
     share = 1.0 - float(left @ left) / max(float((b - a) @ (b - a)), 1e-300)

@@ -144,6 +144,7 @@ def signal_rows(data: Measurement) -> Iterator[CheckRow]:
     """
     outputs = list(zip(data.output_labels, data.outputs, strict=True))
     inputs = list(zip(data.input_labels, data.inputs, strict=True))
+    # signals that never change
     still = [label for label, row in (*inputs, *outputs) if np.ptp(row) == 0]
     whole = set(data.input_labels) <= set(still) and not data.outputs.std(axis=1).any()
     for label in still:
@@ -163,6 +164,7 @@ def signal_rows(data: Measurement) -> Iterator[CheckRow]:
 
 def _repeated(signals: Sequence[tuple[str, Array]]) -> Iterator[CheckRow]:
     for (one, a), (other, b) in combinations([(label, row - row.mean()) for label, row in signals], 2):
+        # correlation of 1: the same signal
         like = float(a @ b) / float(np.linalg.norm(a) * np.linalg.norm(b))
         if abs(like) > _SAME:
             yield CheckRow(
@@ -181,6 +183,7 @@ def _input_rows(label: str, w: Array) -> Iterator[CheckRow]:
 
 
 def _output_rows(label: str, y: Array) -> Iterator[CheckRow]:
+    # clipped samples, coarse steps, dropouts
     side = clipped(y)
     if side is not None:
         yield CheckRow(
@@ -214,6 +217,7 @@ def _lost(y: Array, least: float) -> int:
     """
     if not 0.0 < np.mean(y == 0.0) < _RESTS:
         return 0
+    # prediction from the past and from the future
     a, _ = autoregression(y)
     centered = y - y.mean()
     ahead, back = np.abs(innovations(a, centered)), np.abs(innovations(a, centered[::-1])[::-1])
@@ -250,6 +254,7 @@ def sampling_rows(linear: LinearModel, data: Measurement, looped: bool = False) 
     ------
     CheckRow
     """
+    # poles in continuous time, against the Nyquist frequency and the length of the record
     poles = np.linalg.eigvals(linear.A) if linear.n_states else np.zeros(0)
     if not linear.is_continuous:
         with np.errstate(divide="ignore"):
@@ -305,6 +310,7 @@ def controller_rows(
     CheckRow
         None where the record does not hold both.
     """
+    # simulate the controller on the record, its initial state by least squares
     given, _ = answer(controller, model, data)
     A, _, C, _ = controller.at(data.dt)
     if given is None or unrecorded(controller.driven, model, data):
@@ -357,6 +363,7 @@ def feedback_rows(compared: Comparison) -> Iterator[CheckRow]:
         if np.ptp(w) == 0 or _periodic(w) or data.n_samples < 10 * _LAGS:
             continue
         tested, new = True, _white(w)
+        # whiten the input, then correlate it with past residuals
         for name, e in zip(data.output_labels, residuals, strict=True):
             p, most = _follows(new, _white(e), 1 if at_once else 0)
             if p < _FEEDBACK and most > _STRONG:
@@ -381,6 +388,7 @@ def _white(row: Array) -> Array:
 
 
 def _periodic(w: Array) -> bool:
+    # autocorrelation by the Fourier transform, without bias
     centered = w - w.mean()
     spectrum = np.abs(np.fft.rfft(centered, 2 * w.size)) ** 2
     own = np.fft.irfft(spectrum)[: w.size // 2] / np.arange(w.size, w.size - w.size // 2, -1)
@@ -398,6 +406,7 @@ def _follows(new: Array, past: Array, first: int) -> tuple[float, float]:
     new, past = new[-n:], past[-n:]
     products = [new[k:] * past[: n - k] for k in range(first, _LAGS + first)]
     sums = np.array([p.sum() for p in products])
+    # each product over its own size: chi-square with one degree per lag
     z = sums / np.maximum([np.linalg.norm(p) for p in products], 1e-300)
     most = np.abs(sums).max() / (np.linalg.norm(new) * np.linalg.norm(past))
     return float(stats.chi2.sf(float(z @ z), _LAGS)), float(most)

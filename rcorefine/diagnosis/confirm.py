@@ -123,6 +123,7 @@ def confirm(
     force_ratio = as_number(force_ratio, "force_ratio", least=0.0)
     significance = as_share(significance, "significance")
     matters = levels().matters if matters is None else as_number(matters, "matters", least=0.0)
+    # settings, records and channels
     check_settings(model.physical_model, tolerance=tolerance, noise=noise)
     records = as_records(data)
     if len(records) < 2:
@@ -130,31 +131,38 @@ def confirm(
     ordered = [ordered_record(model.physical_model, r) for r in records]
     for record in ordered:
         check_channels(model.physical_model.linear, record)
+    # coefficients of the added effects, and conditions that scale them
     own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]
     conditions, factors = _conditions(model, own, records, scales_with)
     library = effect_library(model.physical_model) if candidates is None else candidates
     rest = not_held(as_effects(library, "candidates"), model.effects)
     sizes = [amplitude(record) or 1.0 for record in ordered]
     several = len({record.name for record in records}) > 1
+    # each record alone: fit, agreement with the first, tests of its residual
     fits, estimates = list[tuple[Array, Array]](), list[RecordEstimate]()
     for i, record in enumerate(ordered):
+        # process noise relative to the amplitude of the record
         ratio, f = force_ratio * sizes[0] / sizes[i], factors[i]
         fitted, whole = _alone(model, record, tolerance, noise, ratio)
         theta, C = fitted.theta[own], whole[np.ix_(own, own)]
         fits.append((theta, C))
         off = theta - f * fits[0][0]
+        # Wald test of the difference; both covariances add
         agreement = wald(off, f[:, None] * fits[0][1] * f + C) if i else 1.0
         tested = TestedResidual(fitted, ratio)
         tests = tuple(_tested(tested, rest))
+        # what the tests find, as a share of each output
         left = error_shares(tested, tests, significance)
         name = records[i].name if several else f"record {i + 1}"
         figures = (theta, standard_deviations(C), agreement, tests, overall(tests), f)
         sizes_left = _changes(tested, off, C), max((one.model for one in left), default=np.inf)
         estimates.append(RecordEstimate(name, sizes[i] / sizes[0], *figures, *sizes_left))
     further = estimates[1:]
+    # Bonferroni over the further records
     p_value = min(1.0, len(further) * min(min(e.agreement, e.residual) for e in further))
     rows = [model.parameters[i] for i in own]
     names, units = tuple(row.name for row in rows), tuple(row.unit for row in rows)
+    # refuted if a test fails in one record and the deviation matters
     refuted = any(_refutes(e, significance / len(further), matters) for e in further)
     verdict = "refuted" if refuted else "confirmed"
     labels = list(dict.fromkeys(f"{row.kind} at {row.place}" for row in rows))
@@ -164,6 +172,7 @@ def confirm(
 
 def _refutes(e: RecordEstimate, level: float, matters: float) -> bool:
     """Return whether a test fails and what it finds matters."""
+    # other coefficients, or a residual that is significant and large
     other = e.agreement < level and e.change > matters
     return other or (e.residual < level and e.error > matters)
 
@@ -173,6 +182,7 @@ def _changes(tested: TestedResidual, off: Array, C: Array) -> float:
 
     All else is estimated with them: the sum of squares of the innovations rises by ``off' C^-1 off``.
     """
+    # rise of the cost if the coefficients of the first record are used
     known = np.isfinite(np.diag(C))
     if not known.any() or not off.any():
         return 0.0
@@ -194,6 +204,7 @@ def _conditions(
     structure = model.simulation_structure()[0]
     parameters = [structure.parameters[i] for i in own]
     keys = [f"{e.kind}@{e.place}" for e in (structure.effects[q.effect] for q in parameters)]
+    # factor of each coefficient: its condition over that of the first record
     found, factors = {}, np.ones((len(records), len(own)))
     for key, given in as_mapping(asked, "scales_with", "conditions").items():
         if key not in keys:
@@ -242,6 +253,7 @@ def _message(
         for key, by in (scaled or {}).items()
     }
     what = " with ".join(label + ways.get(label, "") for label in labels) or "model without an added effect"
+    # confirmed: with a caution if the amplitudes are similar
     if verdict == "confirmed":
         other = any(abs(np.log(e.level)) > 0.25 for e in further)
         caution = "" if other else " The amplitudes are similar, so a similar effect could pass, too."
@@ -261,6 +273,7 @@ def _against(
     """Return what refutes a model."""
     first, *further = estimates
     against = [e for e in further if _refutes(e, level / len(further), matters)]
+    # the record that deviates most
     worst = min(against, key=lambda e: min(e.agreement, e.residual))
     other = worst.agreement <= worst.residual
     why, size = ("other coefficients", worst.change) if other else ("something more", worst.error)
@@ -278,16 +291,19 @@ def _alone(
 
     Return the fitted model and the covariance of its coefficients.
     """
+    # ordinary fit first, as a start
     with unheard(IdentifiabilityWarning):
         own = refit(model, [record], elsewhere=False, tolerance=tolerance, noise=noise)
     fitted = fitted_from(
         own, windows(own.physical_model, [record], None)[0], tolerance=tolerance, noise=noise
     )
     problem, point = fitted.problem, fitted.point
+    # with process noise: iterate descent and whitening under the Kalman gain
     gain = observer_gain(fitted.structure, model.theta, problem.records[0], ratio) if ratio > 0 else None
     for _ in range(_ROUNDS):
         whitener = problem.whitener([r for r, _ in evaluated(problem, point, gain)])
         point = descend(problem, point, gain=gain, whitener=whitener, evaluations=10, tolerance=1e-8).point
+    # sandwich covariance with the final whitening
     blocks = evaluated(problem, point, gain)
     C = coefficient_covariance(problem, blocks, problem.whitener([r for r, _ in blocks]))
     fitted = FittedModel(own, problem, point, tolerance)
@@ -299,6 +315,7 @@ def _alone(
 def _tested(tested: TestedResidual, rest: Sequence[Effect]) -> list[FTest]:
     fitted, ratio = tested.fitted, tested.ratio
     motions = [Motion(fitted.structure, fitted.theta, record) for record in fitted.problem.records]
+    # candidates, then free forces at the places of the effects
     scored = candidate_columns(fitted, rest, motions[0], (ratio,))
     roles = fitted.refinement.roles
     places = [e.place for e, role in zip(fitted.structure.effects, roles, strict=True) if role == "effect"]

@@ -107,6 +107,7 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
     DataError
         If no output ever changes.
     """
+    # frequency responses and refined models keep all outputs
     if in_frequency(records) or hasattr(model, "physical_model"):
         return None
     physical = as_physical(model)
@@ -119,6 +120,7 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
         return None
     if all(np.ptp(record.outputs, axis=1).max() == 0 for record in ordered):
         raise DataError(f"no output ever changes ({', '.join(labels)}); check sensors and cables")
+    # left out if the sensor shows nothing in every record
     faults = [[_fault(physical, record, i) for record in ordered] for i in range(len(labels))]
     kept = tuple(i for i, found in enumerate(faults) if not all(found))
     if not kept or len(kept) == len(labels):
@@ -140,6 +142,7 @@ def _fault(model: PhysicalModel, data: Measurement, index: int) -> str:
     stuck = _stuck(y)
     if stuck:
         return stuck
+    # neither correlated with an input nor with the simulation, while other outputs are
     if y.size > 5 * _LAGS and all(_unrelated(y, w) for w in data.inputs if np.ptp(w) > 0):
         moved = [row for i, row in enumerate(data.outputs) if i != index and np.ptp(row) > 0]
         driving = [w for w in data.inputs if np.ptp(w) > 0]
@@ -151,6 +154,7 @@ def _fault(model: PhysicalModel, data: Measurement, index: int) -> str:
 
 def _stuck(y: Array) -> str:
     """Return since when a noisy output repeats one value, or an empty string."""
+    # runs of equal samples
     first, end = runs(np.append(np.diff(y) == 0, False))
     if not first.size:
         return ""
@@ -171,10 +175,12 @@ def _unrelated(y: Array, w: Array) -> bool:
 
     The input is compared at up to 100 samples before the output.
     """
+    # whiten both, then correlate
     one, other = (innovations(autoregression(row)[0], row - row.mean()) for row in (y, w))
     n = y.size
     r = correlate(one, other, mode="full", method="fft")[n - 1 : n - 1 + _LAGS]
     r = r / float(np.linalg.norm(one) * np.linalg.norm(other) or 1.0)
+    # portmanteau test: sum of squared correlations against chi-square
     return bool(n * float(r @ r) < _LAGS + _SPREAD * np.sqrt(2 * _LAGS))
 
 
@@ -183,6 +189,7 @@ def _foreseen(model: PhysicalModel, data: Measurement, index: int) -> bool:
 
     A diverging simulation counts as correlated.
     """
+    # correlation with the simulation from rest
     try:
         run = simulate(model, data, "zero").outputs[index]
     except DivergenceError:

@@ -74,15 +74,18 @@ def amplitude_test(fitted: FittedModel, added: int, levels: Levels) -> tuple[flo
     sentence : str
         Result of the comparison in words; empty without one.
     """
+    # one record is cut into stretches of different excitation
     structure, records = fitted.structure, fitted.problem.records
     if len(records) == 1 and not at_rest(records):
         stretches = (piece for _, piece in stretches_by_level(records[0]))
         records = [piece for piece in stretches if piece.n_samples >= SHORTEST] or records
+    # compare the smallest with the largest amplitude
     sizes = [amplitude(record) for record in records]
     low, high = int(np.argmin(sizes)), int(np.argmax(sizes))
     if sizes[high] <= _OTHER_AMPLITUDE * max(sizes[low], 1e-300):
         return 1.0, ""
     first = len(structure.effects) - added
+    # Wald test, with a tolerance for what counts as the same value
     own = np.flatnonzero([q.effect >= first for q in structure.parameters])
     (one, C1), (two, C2) = (_alone(fitted, records[i]) for i in (low, high))
     spread = np.diag((levels.same_value * fitted.theta[own]) ** 2)
@@ -100,6 +103,7 @@ def _alone(fitted: FittedModel, record: Any) -> tuple[Array, Array]:
     """Return coefficients and covariance, estimated from one record alone."""
     theta, _ = fitted.problem.unpack(fitted.point)
     problem = fitted.problem.like(records=[record])
+    # fit, noise model of this record, fit with it
     run = descend(problem, problem.pack(theta, starting_states(problem, theta)), evaluations=15)
     whitener = problem.whitener([residual for residual, _ in run.blocks(problem)])  # the noise of this record
     run = descend(problem, run.point, whitener=whitener, evaluations=15, tolerance=1e-8)
@@ -112,6 +116,7 @@ def remarks(fitted: FittedModel, effects: Sequence[Effect]) -> list[str]:
 
     They name friction without reversal of the motion, and coefficients at a bound.
     """
+    # friction needs a motion that reverses
     ports, said = {port.name for port in fitted.structure.model.ports}, []
     for effect in effects:
         if not (effect.spec.turns and effect.place in ports and fitted.problem.in_time):
@@ -294,6 +299,7 @@ def investigate(
     -------
     Investigation
     """
+    # arguments, then model and records in one order of channels
     significance = as_share(significance, "significance")
     effort = as_number(effort, "effort", least=0.0)
     matters = levels().matters if matters is None else as_number(matters, "matters", least=0.0)
@@ -305,12 +311,14 @@ def investigate(
         candidates = as_effects(candidates, "candidates")
     else:
         model, added = with_recorded_inputs(model, [*given, *([] if validation is None else [validation])])
+    # settings and validation record must suit the model
     if validation is not None:
         check_validation(model, validation)
     check_settings(as_physical(model), **options)
     free_all = isinstance(options["free"], str)
     if free_all:  # the search re-estimates all parameters, with priors
         options["free"] = ()
+    # outputs that show nothing are left out
     live, silent = given, tuple[str, ...]()
     watched = without_dead_sensors(model, given)
     if watched is not None:
@@ -319,8 +327,10 @@ def investigate(
         options["free"], candidates = watched.effects(options["free"]), watched.effects(candidates)
         validation = None if validation is None else watched.record(validation)
     records = spread_lines(live)
+    # fit of the model as it is, without any effect
     with steps.step("model as it is"):
         base = base_fit(model, records, **options)
+    # checks of the record, for the warnings
     with steps.step("what is odd"):
         odd = () if in_frequency(records) else looks(seen, given, horizon)
     asked = options | {"candidates": None if candidates is None else tuple(candidates), "matters": matters}
@@ -331,6 +341,7 @@ def investigate(
     if free_all and found.floated is not None:  # they are no verdict then, but what was asked for
         found = replace(found, verdict="adequate", base=found.floated, floated=None)
     said = about_noise(base.physical_model, records, live)
+    # warnings and notes go with the diagnosis
     found = replace(found, checks=odd, records=tuple(live), notes=(*added, *silent, *found.notes, *said))
     return Investigation(found, case, model, validation)
 
@@ -349,8 +360,10 @@ def _ask_twice(case: Case, validation: Measurement | None, most: int) -> Diagnos
     """
     found, settings, records = ask(case, validation, most), case.settings, list(case.records)
     again, base = settings, case.base
+    # nothing named: try again with an offset at each channel
     if found.verdict == "unexplained":
         base = with_offsets(base, records, settings)
+    # adequate in windows: try again with free runs over the whole record
     elif found.verdict == "adequate" and settings["horizon"] is None and case.cut:
         again = settings | {"horizon": max(record.n_samples * record.dt for record in records)}
         options = {name: again[name] for name in ("free", "tolerance", "offset", "noise", "horizon")}
@@ -361,6 +374,7 @@ def _ask_twice(case: Case, validation: Measurement | None, most: int) -> Diagnos
     second = ask(other, validation, most)
     best = second.best.refinement if second.best is not None else second.floated or second.base
     worse = again is not settings and np.any(best.rmse > _WHOLE * found.base.rmse)
+    # the second answer unless it is none, or its free run is much worse
     return found if second.verdict == "unexplained" or worse else second
 
 
@@ -385,10 +399,12 @@ def ask(case: Case, validation: Measurement | None = None, most: int = MOST + 1)
     -------
     Diagnosis
     """
+    # records without motion allow no answer
     still = case.in_time and (no_motion(case.ordered) or not_excited(case.base, case.records))
     if still:  # nothing moves in the records
         about = case.about | {"ambiguous": tuple(case.library), "notes": (still,)}
         return Diagnosis("ambiguous", **about)
+    # search over sets of effects, re-estimated parameters and nuisances
     search = Search(case, most).run()
     agreements: dict[Trial, tuple[float, str]] = {}
 
@@ -412,11 +428,13 @@ def ask(case: Case, validation: Measurement | None = None, most: int = MOST + 1)
             agreements[trial] = amplitude_test(trial.model, len(trial.effects), case.levels)
         return agreements.get(trial, (1.0, ""))[0] >= case.levels.disagree
 
+    # hypotheses with equal effects form one row; the answer from their probabilities
     rows = table(search)
     found = answer(search, rows, passed)
     if found.verdict == "unexplained":
         found = close_enough(search, rows, found)
     said = [sentence for _, sentence in [agreements.get(found.trial, (1.0, ""))] if sentence]
+    # coefficients of the answer and its alternatives, with enough substeps
     if found.verdict in ("effect", "ambiguous"):
         near = [row for row in rows if row.effects and row.value > found.row.value - _SETTLED]
         answered, *settled = search.settled([found.trial, *(row.trials[0] for row in near)])
@@ -444,6 +462,7 @@ def _told(
 ) -> Diagnosis:
     """Return the answer as a diagnosis."""
     case, trial, word = search.case, found.trial, found.verdict
+    # process noise, tests and error shares of the answer
     held, nothing = trial.hypothesis, search.trials[0]
     about = case.about | {"force_ratio": held.ratio}
     own = search.tests(trial)
@@ -452,6 +471,7 @@ def _told(
         about["adequate_to"] = max(one.model for one in about["error_shares"])
     notes = [*about_hold(trial, search), *said]
     left = "" if word == "unexplained" and own else left_to_noise(trial.tested, case.levels)
+    # adequate: what the record would have shown
     if word == "adequate":
         scored = candidate_columns(trial.model, case.library, case.motions[0], (held.ratio,))
         shown = detectable(trial.tested, scored, len(own), case.significance, case.levels)
@@ -463,6 +483,7 @@ def _told(
     holds = frozenset(one for one in held.nuisances if isinstance(one, Hold))
     if holds:
         about["base"] = search.base(holds).refinement
+    # parameters: the fit with priors is the model to go on with
     if word == "parameters":
         about |= {"winner_tests": own, "left_to_noise": left, "notes": (*notes, *_against(rows, found))}
         return Diagnosis(word, **about, floated=with_fitting_priors(case, trial))
@@ -471,6 +492,7 @@ def _told(
         notes += filter(None, [not_tried(case.base.physical_model, case.library, case.ordered)])
     if word == "unexplained" and search.not_afforded:
         notes.append(search.not_afforded)
+    # unexplained: estimate the force at each place as a free curve
     if word == "unexplained" and case.in_time:
         with case.progress.step("free forces"):
             law, base = open_force(search)
@@ -479,6 +501,7 @@ def _told(
         about["base"] = trial.base.refinement
         notes.append(_beside_parameters(trial, word))
     notes += [*remarks(trial.model, trial.effects), *_denied(search, trial)]
+    # ranking: answer, alternatives, then other candidates with their probabilities
     listed = _listed(search, rows, found, about["base"])
     if word == "unexplained" and not listed[0].hypothesis.ratio:
         about["error_shares"] = error_shares(listed[0].tested, search.tests(listed[0]), case.significance)

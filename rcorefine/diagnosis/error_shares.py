@@ -82,11 +82,13 @@ def error_shares(
     """
     fitted = tested.fitted
     problem = fitted.problem
+    # a frequency response has no motion of its own
     if not problem.in_time:
         return ()
     weights = problem.weights[:, None]
     left = [block / weights for block in fitted.residuals(tested.ratio)]
     outputs = [record.outputs for record in problem.records]
+    # innovations in the units of the outputs
     innovations = tested.whitener.scales / problem.weights
     labels = fitted.refinement.physical_model.linear.output_labels
     return error_shares_of(labels, left, outputs, innovations, found_share(tested, tests, significance))
@@ -100,6 +102,7 @@ def found_share(tested: TestedResidual, tests: Sequence[FTest], significance: fl
     tested, tests, significance
         As for `error_shares`.
     """
+    # what the tests explain beyond chance: gain minus its degrees of freedom
     gains = sum(max(test.gain - test.dof, 0.0) for test in tests if test.p_value < significance)
     return min(gains / max(tested.residual.size, 1), 1.0)
 
@@ -126,9 +129,11 @@ def error_shares_of(
     -------
     tuple of ErrorShare
     """
+    # power of the residual without the innovations, plus what the tests find in these
     residual, measured = np.hstack(left), np.hstack(outputs)
     power, white = np.mean(residual**2, axis=1), innovations**2
     model = np.maximum(power - white, 0.0) + white * found
+    # relative to the spread of the output
     spread = measured.std(axis=1)
     size = np.where(spread > 0, spread, np.inf)
     shares = np.sqrt(np.array([power, np.minimum(model, power)])) / size

@@ -76,10 +76,12 @@ def suggest(
             raise ct.ControlArgument(f"costs names {name!r}; there are {', '.join(prices)}")
         prices[name] = as_number(value, f"costs[{name!r}]", least=0.0)
     as_flag(repeat, "repeat")
+    # candidate experiments, and the explanations that they must distinguish
     listed = _proposals(model, records[0], repeat, amplitudes, lengths, bands, sensors, prices)
     contenders, fitted, why = _contenders(found, records)
     if len(contenders) < 2:
         return ExperimentAdvice(None, (), tuple(c.label for c in contenders), probability, why)
+    # simulate each experiment under each explanation
     judge = _Judge(contenders, fitted, records, found.force_ratio, largest_input)
     return _advice([judge.option(proposal) for proposal in listed], judge, probability, why)
 
@@ -89,6 +91,7 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
 
     A message gives the reason if there is nothing to separate.
     """
+    # free runs in the windows of the diagnosis
     segments, _ = windows(found.base.physical_model, list(records), found.settings["horizon"])
     best, why = found.best, ""
 
@@ -112,6 +115,7 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
             "other candidates may explain it."
         )
         return [], fitted(found.base), why
+    # candidates that the data cannot distinguish, with normalized probabilities
     alike = [row for row in found.ranking if row.alike]
     rows, left = alike[:_MOST], len(alike) - _MOST
     total = sum(row.probability for row in rows) or 1.0
@@ -147,10 +151,12 @@ def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], Fitte
     alone = [Contender(None, found.base, 0.0, 0.0)]
     if not effects:
         return alone, fitted, nothing
+    # nearly significant candidates of an adequate model: score tests, then full fits
     motion = Motion(fitted.structure, fitted.theta, fitted.problem.records[0])
     scored = candidate_columns(fitted, effects, motion, (0.0, found.force_ratio))
     tests = TestedResidual(fitted, found.force_ratio).each(scored)
     order = np.argsort([t.p_value for t in tests], kind="stable")
+    # close to significance: corrected p-value below 0.2, three candidates at most
     near = [i for i in order if tests[i].p_value * len(tests) < _NEAR]
     fitter = Fitter(fitted, motion)
     metric = Metric(fitted.problem.whitener(fitted.residuals()), None, 0.0)
@@ -162,6 +168,7 @@ def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], Fitte
     likely = sorted((t for t in trials if t is not None), key=lambda trial: -trial.total)
     if not likely:
         return alone, fitted, nothing
+    # probabilities from their evidence, against "nothing is missing"
     base = fitter.empty(Hypothesis(), fitted).total
     weights = np.exp([trial.total - likely[0].total for trial in likely])
     weights /= weights.sum()
@@ -185,6 +192,7 @@ class _Judge:
     ) -> None:
         self.contenders, self.fitted, self.records, self.ratio = contenders, fitted, records, ratio
         self.limit = largest_input
+        # noise levels and color of the record at hand, taken over to the new one
         self.levels = 1.0 / fitted.problem.weights
         self.whitener = Whitener.fit(fitted.residuals(ratio))
         self.before = sum(record.outputs.size for record in records)
@@ -196,6 +204,7 @@ class _Judge:
         record, result = proposal.record, Separation(0.0, 0.0, np.zeros((1, 1)), "the model runs away there")
         reach, where = np.inf, ""
         try:
+            # largest motion against the largest in the record
             largest = self._largest([record])
             shares = {key: largest[key] / value for key, value in self.seen.items() if value > 0}
             where = max(shares, key=lambda key: shares[key], default="")
@@ -204,15 +213,18 @@ class _Judge:
             pass
         if np.isfinite(reach):
             noise, whitener, new = self.levels, self.whitener, proposal.sensor
+            # a new sensor gets the median noise-to-signal ratio of the others
             if new is not None:  # of the same sort: noise of the color of the first one
                 noise = np.append(noise, self._sensor_noise(new[1]))
                 scales = np.append(whitener.scales, whitener.scales[0])
                 whitener = Whitener((*whitener.filters, whitener.filters[0]), scales)
             plan = Plan(record, noise, whitener, new, new is None, self.before)
+            # expected log-likelihood distances between the explanations
             result = separation(self.contenders, plan, self.ratio)
         over = self.limit is not None and bool((np.abs(record.inputs).max(axis=1) > self.limit).any())
         failed = "beyond largest_input" if over else result.failed
         truths = [i for i, c in enumerate(self.contenders) if c.weight > 0]
+        # the closest pair decides
         pairs = [result.distances[i, j] for i in truths for j in range(len(self.contenders)) if i != j]
         figures = (0.0, 0.0, 0.0) if failed else (result.probability, result.wrong, float(min(pairs)))
         about = (proposal.kind, proposal.name, proposal.cost)
@@ -221,6 +233,7 @@ class _Judge:
     def _sensor_noise(self, row: Array) -> float:
         """Return the noise of a new sensor, relative to its signal as the others."""
         spread = np.concatenate([r.outputs for r in self.records], axis=1).std(axis=1)
+        # median noise-to-signal ratio of the present outputs
         relative = float(np.median(self.levels / np.where(spread > 0, spread, 1.0)))
         signal = row @ self._states(self.records[0])[: row.size]
         return relative * (float(np.std(signal)) or 1.0)
@@ -234,6 +247,7 @@ class _Judge:
         """Largest motion at every port and of every input."""
         found: dict[str, float] = {}
         for record in records:
+            # displacement at each port, or its velocity where it has none
             x = self._states(record)
             for port in self.best.physical_model.ports:
                 row, through = port.position, port.position_input
@@ -260,6 +274,7 @@ def _advice(
             "None of these experiments is possible; allow others (amplitudes=, lengths=, bands=, sensors=)."
         )
         return ExperimentAdvice(None, tuple(options), names, probability, message, tuple(notes))
+    # cheapest option that is likely to decide, otherwise the most probable one
     best = max(possible, key=lambda o: o.probability)
     enough = [option for option in possible if option.probability >= probability]
     chosen = min(enough, key=lambda o: (o.cost, -o.probability), default=best)
@@ -338,6 +353,7 @@ def _proposals(
 
     The arguments are those of `Diagnosis.suggest_experiment`, and are checked here.
     """
+    # repeat, other amplitude, other band, longer record, further sensor
     w, found = record.inputs, []
     factors = {}
     for name, values in (("amplitudes", amplitudes), ("lengths", lengths)):
@@ -388,12 +404,14 @@ def in_band(w: Array, dt: float, low: float, high: float) -> Array:
     Mean and rms of the input are kept.
     """
     n = w.shape[1]
+    # random phases at the lines of the band
     omega = 2 * np.pi * np.fft.rfftfreq(n, dt)
     lines = np.flatnonzero((omega >= low) & (omega <= high) & (omega > 0))
     rng = np.random.default_rng(0)
     spectrum = np.zeros((w.shape[0], omega.size), dtype=complex)
     spectrum[:, lines] = np.exp(2j * np.pi * rng.random((w.shape[0], lines.size)))
     signal = np.fft.irfft(spectrum, n, axis=1)
+    # scale to the rms of the record
     size = signal.std(axis=1, keepdims=True)
     size[size == 0] = 1.0
     return np.asarray(w.mean(axis=1, keepdims=True) + signal * (w.std(axis=1, keepdims=True) / size))
@@ -404,6 +422,7 @@ def _default_bands(model: PhysicalModel, record: Measurement) -> list[tuple[floa
 
     They are the lower and the upper half of the band of the model, and bands around its lowest modes.
     """
+    # from 0.3 times the slowest pole to twice the fastest, within half the Nyquist frequency
     poles = np.linalg.eigvals(model.linear.A)
     nyquist, line = np.pi / record.dt, 2 * np.pi / record.duration
     modes = np.unique(np.round(np.abs(poles[np.imag(poles) > 0.3 * np.abs(poles)]), 12))

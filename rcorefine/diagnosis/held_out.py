@@ -81,12 +81,14 @@ class HeldOutPath:
         ties : dict
             Effects that the data cannot distinguish from an effect.
         """
+        # initial model, re-estimated parameters, then one effect after the other
         self.add(None, "start", self.settled(start), verdict)
         if parameters is not None:
             self.add(None, "parameters", self.settled(parameters), verdict)
         if not effects:
             return
         whole, order = self.settled(last), list(effects)
+        # order: the effect whose removal increases the error most comes first
         if len(order) > 1:
             lost = {effect: mean_log(self._without(whole, [effect]).rmse) for effect in order}
             order.sort(key=lambda effect: -lost[effect])
@@ -103,6 +105,7 @@ class HeldOutPath:
         ties: Sequence[Effect] = (),
     ) -> None:
         """Append a step with its errors and coefficients."""
+        # errors on the three parts, and coefficients of the added effect
         rows = {} if effect is None else estimates(model, effect)
         values = {name: float(row.coefficient) for name, row in rows.items()}
         std = {name: float(row.std) for name, row in rows.items()}
@@ -134,6 +137,7 @@ class HeldOutPath:
         The windows are those of `compare`. Infinite if the model diverges.
         """
         found = []
+        # free-run residuals of all records, joined
         for record in records:
             try:
                 found.append(_left(refinement, record, self.settings["horizon"]))
@@ -150,6 +154,7 @@ class HeldOutPath:
             left = [_left(model, record, self.settings["horizon"]) for record in records]
         except DivergenceError:
             return tuple(ErrorShare(label, np.inf, np.inf, 0.0) for label in labels)
+        # innovations of the residual separate noise from model error
         innovations = Whitener.fit(left, floor=1e-150).scales
         every = [*self.parts.learn, *self.parts.judge]
         outputs = [ordered_record(model.physical_model, record).outputs for record in every]
@@ -168,6 +173,7 @@ class HeldOutPath:
     # ------------------------------------------------------------------ taking steps back
     def cut(self) -> None:
         """Remove last steps that decrease the second-part error too little."""
+        # log error on the second part plus a price per coefficient; its minimum ends the path
         costs = [
             mean_log(step.choice_rmse)
             + levels().earned * sum(len(s.coefficients) for s in self.steps[: k + 1])
@@ -183,6 +189,7 @@ class HeldOutPath:
         """
         back: list[str] = []
         while len(self.steps) > 1:
+            # the third part has not been used by fit or choice
             first, last = (mean_log(s.validation_rmse) for s in (self.steps[0], self.steps[-1]))
             held = [step.effect for step in self.steps if step.effect is not None]
             if last <= first and not loose(self.steps[-1].refinement, held):
@@ -220,6 +227,7 @@ def _left(refinement: Refinement, record: Any, horizon: float | None) -> Array:
 
     That of a frequency response is taken at its points, in units of their noise.
     """
+    # frequency responses at their points, records as in `compare`
     if in_frequency([record]):
         structure, theta, _ = refinement.simulation_structure()
         ordered = ordered_record(refinement.physical_model, record)

@@ -113,6 +113,7 @@ class Start:
         """
         if share == 1.0:
             return self
+        # reduce sizes, not shapes; theta and states move toward the model without the effects
         values = [
             {n: v if n in e.spec.shaping or e.spec.secant else share * v for n, v in own.items()}
             for e, own in zip(effects, self.values, strict=True)
@@ -129,6 +130,7 @@ def likeliest_noise(problem: Problem, colored: bool = True) -> Callable[[Sequenc
     Outputs and rounding steps are those of the records, in units of the weights. Noise is white and normal in
     frequency responses, and if it is not `colored`.
     """
+    # outputs in the weighted units of the residuals, with their rounding steps
     outputs = [problem.weights[:, None] * r.outputs for r in problem.records]
     colored = colored and problem.in_time
     steps = [rounding_step(row) if colored else 0.0 for row in np.concatenate(outputs, axis=1)]
@@ -218,6 +220,7 @@ class Trial:
         structure, found = self.problem.structure, []
         theta = self.problem.unpack(self.point)[0]
         for i in range(self.first, len(structure.effects)):
+            # sizes of the effect, or its shapes if it has no size
             at = [k for k, q in enumerate(structure.parameters) if q.effect == i]
             shaping = structure.effects[i].spec.shaping
             sizes = [k for k in at if structure.parameters[k].name not in shaping] or at
@@ -231,6 +234,7 @@ class Trial:
         essential coefficient and for each shaping coefficient with a finite lower bound. No effect of
         friction or of a loss may have a sign that physics excludes.
         """
+        # each size and each shape with a bound must differ clearly from zero
         structure, theta = self.problem.structure, self.problem.unpack(self.point)[0]
         for k, q in enumerate(structure.parameters):
             effect = structure.effects[q.effect]
@@ -272,16 +276,19 @@ class Trial:
     def model(self) -> FittedModel:
         """Return the trial as a fitted model, with parameters and covariance."""
         old, problem, noise, ratio = self.base.refinement, self.problem, self.noise, self.hypothesis.ratio
+        # uneven noise: weight samples by their standard deviation
         blocks, judged = self.blocks, problem
         if noise.uneven:
             judged = weighted(problem, noise)
             blocks = [(w * r, w[:, :, None] * j) for w, (r, j) in zip(noise.weights, blocks, strict=True)]
+        # covariance of the estimate, scaled by the whitened residual
         white = noise.whitener.apply([r for r, _ in blocks])
         scale = float(white @ white) / max(white.size - problem.size, 1)
         C = scale * coefficient_covariance(problem, blocks, noise.whitener)
         theta, states = problem.unpack(self.point)
         roles = (*old.roles, *("effect",) * len(self.effects))
         table = parameter_table(problem.structure, roles, self.base.tolerance)
+        # free-run error for the printed fit, also with process noise
         free = self.blocks if ratio == 0 else evaluated(problem, self.point)
         errors = [r / problem.weights[:, None] for r, _ in free]
         fit, rmse = fit_of(problem.records, errors)
@@ -320,6 +327,7 @@ class Trial:
             return None
         if effect.place not in [port.name for port in structure.model.ports]:
             return None
+        # simulate, then force of the law without its tangent at rest
         theta, starts = problem.unpack(self.point)
         (d0, v0), rows = resting(structure, effect.place) or (0.0, 0.0), []
         for engine, start in zip(problem.engines, starts, strict=True):
@@ -349,6 +357,7 @@ class Trial:
         first = self.problem.records[0]
         if not self.problem.in_time or at_rest([first]):
             return None
+        # rest first, then white noise of twice the rms
         size = np.sqrt(np.mean(np.square(first.inputs), axis=1, keepdims=True))
         inputs = np.random.default_rng(0).standard_normal(first.inputs.shape) * 2.0 * size
         inputs += first.inputs.mean(axis=1, keepdims=True)
@@ -369,12 +378,14 @@ class Trial:
         differ. Where they differ, their effects are linear: two laws may be equal at one shape, or one
         amplitude, only.
         """
+        # equal number of coefficients, and linear where they differ
         counts = [sum(len(e.free) for e in trial.effects) for trial in (self, other)]
         differing = {e.spec for e in {*self.effects} ^ {*other.effects}}
         if counts[0] != counts[1] or not all(law.linear or law.delays for law in differing):
             return False
         if self.elsewhere is None or other.elsewhere is None:
             return False
+        # difference of the outputs over the change from the model without effects
         (one, without), (two, _) = self.elsewhere, other.elsewhere
         least = _SHIFTED if all(law.delays for law in differing) else _EQUAL
         return bool(np.linalg.norm(one - two) < least * np.linalg.norm(one - without))
@@ -400,6 +411,7 @@ def unphysical(effect: Effect, values: Mapping[str, float], model: PhysicalModel
         sign.
     """
     law = effect.spec
+    # size of the force, shapes left out; negative friction drives the motion
     size = sum(value for name, value in values.items() if name not in law.shaping)
     if size >= 0 or not (law.turns or law.resists):
         return False
@@ -446,6 +458,7 @@ def evidence(
     p, p0 = problem.n_theta, trial.base.problem.n_theta
     noise = noise_of([r for r, _ in blocks])
     trial.noise = noise
+    # whiten and weight the residual and that of the base
     weights = [w * np.sign(j) for w, j in zip(noise.weights, problem.judged(theta), strict=True)]
     apply = noise.whitener.apply
     left = apply([w * r for w, (r, _) in zip(weights, blocks, strict=True)])
@@ -454,9 +467,12 @@ def evidence(
     scale = scale if scale > _EXACT else 1.0
     left, base = left / scale, base / scale
     white = [apply([w[:, :, None] * j]) / scale for w, (_, j) in zip(weights, blocks, strict=True)]
+    # size of what the effects explain: the unit of their prior
     size = trial.size = float(np.sqrt(max(float(base @ base) - float(left @ left), float((p - p0) or 1))))
+    # Laplace's method: Jacobian in units of the prior standard deviations
     common = np.concatenate([j[:, :p] for j in white])
     prior_sd = _prior_sds(problem, theta, common, size, p0)
+    # directions without a prior and initial states are projected out
     flat = ~np.isfinite(prior_sd)
     own = trial.base.problem.n_states
     basis = Basis.of([j[:, :p][:, flat] for j in white], [j[:, p : p + own] for j in white])
@@ -472,6 +488,7 @@ def evidence(
         """Return the log evidence at the point, and the gain of one linear step."""
         X = np.hstack([C[:, informed] * sd[informed], E])
         u = (theta - mean)[informed] / sd[informed]
+        # log det of the posterior precision over that of the prior; one more step for the lack
         A = X.T @ X + np.eye(X.shape[1])
         step = -np.linalg.solve(A, X.T @ r + np.concatenate([u, np.zeros(E.shape[1])]))
         moved = r + X @ step
@@ -486,11 +503,13 @@ def evidence(
     numbers, fitted_under = slice(held, p0), trial.hypothesis.spread
     if fitted_under:
         trial.log_evidence = {}
+        # the same fit under each prior spread of the parameters
         for spread in SPREADS:
             sd = prior_sd.copy()
             sd[numbers] *= spread / fitted_under
             here, gain = value(sd)
             trial.log_evidence[spread] = here + gain - lack  # the fit itself may be short of its minimum
+    # standard deviations under the prior of the fit
     precision = np.zeros(p)
     precision[numbers] = prior_sd[numbers] ** -2.0
     H = np.hstack([C, E]).T @ np.hstack([C, E])
@@ -506,6 +525,7 @@ def _prior_sds(problem: Problem, theta: Array, columns: Array, size: float, firs
     order. The prior is widened to the fitted value if that is larger. A prior of the effect's own stays.
     """
     found, norms = problem.prior_sd.copy(), np.linalg.norm(columns, axis=0)
+    # width of the prior: the coefficient that moves the output by `size`
     for i in first + np.flatnonzero(~np.isfinite(found[first:])):
         found[i] = 0.0
         if norms[i] > 0:
@@ -517,6 +537,7 @@ def _states_of_effects(white: Sequence[Array], first: int, size: float) -> Array
     """Return the columns (N, k) of initial states of effects, of norm `size`."""
     lengths = [len(j) for j in white]
     columns, start = [], 0
+    # initial states that the effects add, each of norm `size`
     for j, n in zip(white, lengths, strict=True):
         for own in j[:, first:].T:
             norm = np.linalg.norm(own)

@@ -165,6 +165,7 @@ class _Improver:
     def __init__(self, asked: Investigation, most: int) -> None:
         self.found, self.case, self.model, self.most = asked.found, asked.case, asked.model, most
         physical, case = asked.case.base.physical_model, asked.case
+        # held-out parts and one horizon for all of them
         parts = split_in_parts(case.records, asked.validation)
         horizon, self.cut = common_horizon(physical, case.ordered, case.settings["horizon"])
         settings = case.options | {"horizon": horizon}
@@ -175,6 +176,7 @@ class _Improver:
         found, path = self.found, self.path
         if found.verdict == "ambiguous" and not found.ranking:  # nothing moves
             raise DataError(" ".join(found.notes))
+        # the path ends at the set of the diagnosis, or where the held-out error is least
         if not self.most:
             path.follow(self.case.base, None, self.case.base, (), "", {})
             message, notes = "Stopped at max_effects = 0; the residual is not noise.", list[str]()
@@ -194,6 +196,7 @@ class _Improver:
     def _named(self) -> tuple[str, list[str]]:
         """Follow the path to the model of the diagnosis; return message and notes."""
         found, start, path = self.found, self.case.base, self.path
+        # from the model as it is over re-estimated parameters to the effects
         effects, last, beside = tuple[Effect, ...](), found.floated or found.base, found.floated
         if found.best is not None and found.floated is None:
             effects, last = found.best.effects, found.best.refinement
@@ -201,6 +204,7 @@ class _Improver:
         if not effects and found.floated is None:  # with what the record as a whole needs, such as its hold
             start = found.base
         path.follow(start, beside, last, effects, found.verdict, _rivals(found))
+        # error on data that no fit has used
         worse = mean_log(path.steps[-1].validation_rmse) > mean_log(path.steps[0].validation_rmse)
         notes = ["The error on the held-out data did not decrease."] if worse else []
         notes += filter(None, [self._with_other_name(i) for i in range(len(path.steps))])
@@ -229,6 +233,7 @@ class _Improver:
     # ------------------------------------------------------------------ no set is named
     def _by_error(self) -> tuple[str, list[str]]:
         """Go to the set of least error; return message and notes."""
+        # no set is named: search on the first part, with white noise
         path, case = self.path, self.case
         _, part = case_of_part(case, self.model, path.parts.fit, path.settings)
         search = Search(part, self.most, colored=False).run()
@@ -242,9 +247,11 @@ class _Improver:
                 break
         beside = search.base(chosen.hypothesis.nuisances).refinement if chosen.hypothesis.nuisances else None
         last, effects = _with_spread(chosen), chosen.effects
+        # steps that do not reduce the held-out error are taken back
         path.follow(case.base, beside, last, effects, "unexplained", {})
         path.cut()
         back = path.back()
+        # last resort: a table for the force that remains
         table = "" if path.is_close else self._with_table(search)
         ending = self._ending(back, len(effects) >= self.most, table)
         return ending, [search.not_afforded] if search.not_afforded else []
@@ -254,6 +261,7 @@ class _Improver:
 
         The empty set if no other decreases the error enough for its coefficients.
         """
+        # sets whose effects the data determine, up to 30 by evidence
         tried = [
             t
             for t in search.ranked()
@@ -261,6 +269,7 @@ class _Improver:
             and search.determined(t)
             and (not t.hypothesis.floated or parameters_off(t, self.case.levels))
         ][:_JUDGED]
+        # their error on fit and choice parts; refit the best ten
         costs = {t: self._cost(t.model.refinement, t.effects) for t in tried}
         least = self._cost(search.trials[0].model.refinement, ())
         for trial in sorted(tried, key=costs.__getitem__)[:_SETTLED]:
@@ -281,6 +290,7 @@ class _Improver:
         Empty if there is no such force, if an effect already acts at its place, or if the table cannot be
         fitted. Also if it decreases the error on the second part by less than 5 % (`Levels.earned`).
         """
+        # one step left, and a free force that no effect of the set explains
         path, last = self.path, self.path.steps[-1].refinement
         if not self.case.in_time or sum(step.effect is not None for step in path.steps) >= self.most:
             return ""
@@ -290,6 +300,7 @@ class _Improver:
         own = [e.place for e, role in zip(last.effects, last.roles, strict=True) if role == "effect"]
         if law is None or law.effect.place in own:
             return ""
+        # fit a table at that place; keep it if the held-out error falls
         try:
             with_table = refine(last, path.parts.learn, [law.effect], **path.settings)
         except (DataError, ModelError):
@@ -346,6 +357,7 @@ def _rivals(found: Diagnosis) -> dict[Effect, list[Effect]]:
 
 def _with_spread(chosen: Trial) -> Refinement:
     """Return the model of a trial with the most probable parameter priors."""
+    # spread of the parameters with the largest evidence
     model = chosen.model.refinement
     spread = max(chosen.log_evidence, key=lambda s: chosen.log_evidence[s])
     if not chosen.hypothesis.floated or not spread:
@@ -368,6 +380,7 @@ def _other_name(step: Step) -> list[Effect]:
         return []
     linear = held.physical_model.linear
     act = held.physical_model.port(effect.place).act
+    # offset and effect along the same force vector
     for offset, role in zip(held.effects, held.roles, strict=True):
         if role != "offset":
             continue

@@ -99,6 +99,7 @@ class Residual:
 
         Returns log-likelihood (minus the penalty), filter and variance.
         """
+        # order by Schwarz's criterion, then the likelihood on all samples
         n = row.size
         a, variance = autoregression(row, most=self.most, price=2.0 * self.price)
         a, variance = autoregression(row, order=a.size - 1)  # on all samples
@@ -126,6 +127,7 @@ def _heavy_tailed(dof: float, residual: Residual) -> NoiseFit | None:
     _, a, _ = residual.colored
     row = residual.left
     e = innovations(a, row - row.mean())[a.size - 1 :]
+    # expectation-maximization for Student's t: weights, then scale
     scale = float(np.median(e**2)) / _MEDIAN + residual.floor
     w = np.ones(e.size)
     for _ in range(30):
@@ -133,6 +135,7 @@ def _heavy_tailed(dof: float, residual: Residual) -> NoiseFit | None:
         before, scale = scale, float(np.mean(w * e**2)) + residual.floor
         if abs(scale - before) < 1e-6 * scale:
             break
+    # log-likelihood of Student's t with Schwarz's penalty
     constant = gammaln((dof + 1) / 2) - gammaln(dof / 2) - 0.5 * np.log(dof * np.pi * scale)
     value = e.size * constant - 0.5 * (dof + 1) * float(np.sum(np.log1p(e**2 / (dof * scale))))
     value = value * row.size / e.size - a.size * residual.price
@@ -144,6 +147,7 @@ def _proportional(share: float, residual: Residual) -> NoiseFit | None:
     """Fit autoregressive noise with a part proportional to the output."""
     if residual.most == 0:
         return None
+    # noise grows with the size of the simulated output
     level = np.abs(residual.measured + residual.left)
     level = level / (float(np.sqrt(np.mean(level**2))) or 1.0)
     w = 1.0 / np.sqrt(1.0 + (share * level) ** 2)
@@ -161,6 +165,7 @@ def _rounded(residual: Residual) -> NoiseFit | None:
     if step <= 0:
         return None
     best = -np.inf
+    # probability of each rounding interval, over the noise before rounding
     for s in step * _SPREADS:
         p = ndtr((r + step / 2) / s) - ndtr((r - step / 2) / s)
         best = max(best, float(np.sum(np.log(np.maximum(p, 1e-30)))) - r.size * float(np.log(step)))
@@ -199,6 +204,7 @@ def noise_of(
     best = []
     for left, measured, step in rows:
         residual = Residual(left, measured, step, most)
+        # the likeliest model of each output
         fits = [fit for model in MODELS if (fit := model(residual)) is not None]
         best.append(max(fits, key=lambda fit: fit.log_likelihood))
     ends = np.cumsum([r.shape[1] for r in residuals])[:-1]
@@ -212,6 +218,7 @@ def noise_of(
 
 def rounding_step(values: Array) -> float:
     """Return the step of rounded values (N,), 0 if they are not rounded."""
+    # rounded values: few distinct ones, on a grid
     distinct, times = np.unique(values, return_counts=True)
     if distinct.size < 3 or distinct.size > _DISTINCT * values.size:
         return 0.0
@@ -252,15 +259,18 @@ def _line_of(row: Array, dt: float) -> tuple[float, float] | None:
         return None
     window = np.hanning(n)
     power = np.abs(np.fft.rfft(window * row)) ** 2
+    # peak of the windowed spectrum against the bins beside it
     k = int(np.argmax(power[_LOBE + 1 : -_BESIDE])) + _LOBE + 1
     near = slice(k - _LOBE, k + _LOBE + 1)
     beside = np.concatenate([power[max(k - _BESIDE, 1) : near.start], power[near.stop : k + _BESIDE + 1]])
     level = levels()
     if power[k] < level.line * beside.mean() or power[near].sum() < level.line_share * power.sum():
         return None
+    # frequency between the bins
     bins = k + np.linspace(-1.0, 1.0, 81)
     waves = np.exp(-2j * np.pi * np.outer(bins, np.arange(n)) / n)
     best = int(np.argmax(np.abs(waves @ (window * row))))
+    # a line keeps phase and amplitude over all parts of the record
     parts = np.array([part.mean() for part in np.array_split(waves[best] * row, _PARTS)])
     if np.abs(parts - parts.mean()).max() > level.line_drift * abs(parts.mean()):
         return None

@@ -150,6 +150,7 @@ def likely_forces(trial: Trial, least: float, levels: Levels) -> list[TestedResi
     for at in _AT:
         top = -np.inf
         for ratio in _SIZES:
+            # Kalman predictor with this ratio of forces
             try:
                 led = TestedResidual(trial.model.forced(at), ratio)
             except (np.linalg.LinAlgError, ValueError):
@@ -173,6 +174,7 @@ def between_steps(inputs: Array) -> Array:
     """
     found = inputs.copy()
     for row in found:
+        # steps: jumps beyond the noise of the differences
         jumps = np.diff(row)
         noise = 1.4826 * float(np.median(np.abs(jumps - np.median(jumps))))
         ends = np.flatnonzero(np.abs(jumps) > _STEP * noise) + 1
@@ -182,12 +184,14 @@ def between_steps(inputs: Array) -> Array:
         sizes, means = np.array([part.size for part in parts]), np.array([part.mean() for part in parts])
         long = np.flatnonzero(sizes >= _LASTS)
         order = long[np.argsort(means[long])]
+        # levels that differ by less than their standard error are one
         apart = noise / np.sqrt(2) * np.sqrt(1 / sizes[order][1:] + 1 / sizes[order][:-1])
         groups = np.split(order, np.flatnonzero(np.diff(means[order]) > _APART * apart) + 1)
         for group in groups:  # means of one level
             means[group] = np.average(means[group], weights=sizes[group])
         level = np.repeat(means, sizes)
         left = row - level
+        # what remains must be white, or it was part of the input
         if abs(left[1:] @ left[:-1]) < _WHITE * float(left @ left):
             row[:] = level
     return found
@@ -225,11 +229,13 @@ def with_fitting_priors(case: Case, trial: Trial) -> Refinement:
         return refined
 
     refined = fit(wide)
+    # scale the priors until the determined combinations are as large as expected
     for _ in range(_ROUNDS):
         rows = [(row.kind, row.place) for row in refined.parameters]
         at = [rows.index((e.kind, e.place)) for e, _ in numbers]
         moved = refined.theta[at]
         C = np.nan_to_num(refined.covariance[np.ix_(at, at)] / np.outer(wide, wide), posinf=1.0)
+        # eigenvectors: combinations of parameters that the data determine
         told, turn = np.linalg.eigh(np.eye(len(at)) - C)  # relative reduction of the prior variance
         seen = told > _SEEN
         off = (turn.T @ (moved / wide))[seen] ** 2 / told[seen]

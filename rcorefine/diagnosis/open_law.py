@@ -82,6 +82,7 @@ class SingleFits:
         The priors count. Each coefficient beyond the first costs half the log of the number of samples.
         """
         trial, problem = self.trials[i], self.trials[i].problem
+        # Gaussian log-likelihood with the priors and Schwarz's penalty, one whitening for all
         white = self.whitener.apply([r for r, _ in trial.blocks])
         theta, held = problem.unpack(trial.point)[0], np.isfinite(problem.prior_sd)
         moved = ((theta - problem.prior_mean)[held] / problem.prior_sd[held]) ** 2
@@ -123,11 +124,13 @@ def open_law(fits: SingleFits) -> FreeForces:
     -------
     FreeForces
     """
+    # free curves at the likeliest ports, and linear estimates of curves at the channels
     places = [trial.effects[0].place for trial in fits.trials]
     found = _forms(fits, places)
     free = {place: form.log_likelihood(fits.whitener, 0.0) for place, form in found.items()}
     static = _static(fits)
     free |= {place: value for place, (value, _) in static.items()}
+    # the best of all goes on: as a full fit, a candidate, or a linear step
     best = max([(fits.log_likelihood(0), places[0]), *zip(free.values(), free, strict=True)])[1]
     if best in found:
         first = found[best]
@@ -138,6 +141,7 @@ def open_law(fits: SingleFits) -> FreeForces:
         after = [r for r, _ in fits.trials[places.index(best)].blocks]
     else:
         after = static[best][1]
+    # share of the model error that remains with the best free force
     scales = fits.fitted.problem.whitener(after).scales
     left = _beyond(after, scales) / (_beyond(fits.fitted.residuals(), scales) or 1.0)
     left = min(1.0, left)
@@ -155,6 +159,7 @@ def _forms(fits: SingleFits, places: Sequence[str]) -> dict[str, FreeForm]:
 
     If no effect is at a port, the ports are those at which a free force explains most.
     """
+    # ports of the candidates; without any, ports where a generic force explains most
     ports = {port.name for port in fits.fitted.structure.model.ports}
     likely = [place for place in places if place in ports]
     likely = likely or likely_places(TestedResidual(fits.fitted, 1.0), ports)
@@ -176,6 +181,7 @@ def _static(fits: SingleFits) -> dict[str, tuple[float, list[Array]]]:
     tested, model = TestedResidual(fitted, 0.0, fits.whitener), fitted.structure.linear_model
     held, p = fitted.blocks(), fitted.problem.n_theta
     ports = [port.name for port in fitted.structure.model.ports]
+    # linear least squares: columns of the curve beside those of the fit
     for label in (*model.input_labels, *model.output_labels):
         blocks = None if label in ports else curve_columns(fitted, label)
         if blocks is None:
@@ -195,6 +201,7 @@ def _beyond(residuals: Sequence[Array], scales: Array) -> float:
 
     It is relative to the power of the innovations, and summed over the outputs.
     """
+    # mean square over the innovations, minus one
     left = np.hstack(residuals) / scales[:, None]
     return float(np.sum(np.maximum(np.mean(left**2, axis=1) - 1.0, 0.0)))
 
@@ -203,12 +210,14 @@ def _tabulated(fits: SingleFits, form: FreeForm) -> OpenLaw | None:
     """Return the curve as a table, None if it does not improve the fit."""
     fitted, place = form.fitted, form.curve.place
     table, kind = form.table, form.curve.kind
+    # limit the knots to the motion of the final fit
     if kind == Tabulated.name:
         table = reached(table, *motion_at(form.fitted, place, 0.0))
     if "offset" in fits.fitted.refinement.roles:  # the offset covers any constant: the force is 0 at rest
         rest = [np.clip(0.0, min(x, default=0.0), max(x, default=0.0)) for x in (table.d, table.v)]
         table = Table(table.d, table.v, np.array(table.force) - table(*rest))
     effect = Effect(kind, place, law=table, name=f"{_NAMES[kind]}, tabulated at {place}")
+    # fit of the simulation with the table
     errors = np.concatenate([r / fitted.problem.weights[:, None] for r in fitted.residuals()], axis=1)
     measured = np.concatenate([r.outputs for r in fitted.problem.records], axis=1)
     spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
@@ -226,6 +235,7 @@ def reached(table: Table, d: Array, v: Array) -> Table:
     An observer makes larger motions at the start of a record, until it follows.
     """
     kept = []
+    # end knots at the ends of the motion, inner knots as they are
     for knots, x in ((table.d, d), (table.v, v)):
         low, high = (float(np.clip(end, knots[0], knots[-1])) if knots else 0.0 for end in (x.min(), x.max()))
         if len(knots) > 1 and not low < high:
@@ -242,6 +252,7 @@ def _nearest(fits: SingleFits, form: FreeForm) -> tuple[tuple[Effect, float], ..
 
     Only effects at the place of the table count; the motion is that of the fit.
     """
+    # regress the tabulated force on each candidate's force at its fitted shape
     d, v = motion_at(form.fitted, form.curve.place, 0.0)
     force = form.table(d, v)
     force = force - force.mean()
@@ -307,6 +318,7 @@ class HiddenForce(Result):
 def hidden_force(model: Refinement, noise: Array, port: Port, record: Measurement) -> HiddenForce:
     """Estimate the force at a port over a record; see `estimated_force`."""
     force, states, std = estimated_force(model, noise, port, record)
+    # motion at the port from the estimated states
     d = port.position @ states + port.position_input @ record.inputs
     v = port.velocity @ states + port.velocity_input @ record.inputs
     spread = 0.0 * force + std
@@ -321,6 +333,7 @@ def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
     single effect. The forces are None if no single candidate effect was fitted at the chosen base.
     """
     empty = {trial.hypothesis.key: trial for trial in search.trials if not trial.effects}
+    # the model as given first, then with re-estimated parameters
     for nuisances in dict.fromkeys((frozenset[Nuisance](), search.opened)):
         base = search.base(nuisances)
         offered = [
@@ -332,6 +345,7 @@ def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
         whitener = base.problem.whitener([r for r, _ in alone[0].blocks])
         free = open_law(SingleFits(base, alone, whitener))
         opened = empty.get((frozenset(), search.opened))
+        # the best fit with a force or effect against that of the parameters alone
         after = max(
             free.law.fit_after if free.law else 0.0, *(float(np.mean(x.model.refinement.fit)) for x in alone)
         )

@@ -75,6 +75,7 @@ class Fitter:
 
         Starts with the same widths share one problem.
         """
+        # coefficients of the effects behind those of the base; equal widths share a problem
         problem, absent = base.extended(list(effects), self.motion)
         if self.substeps > problem.substeps and not problem.structure.is_linear:
             problem = problem.like(substeps=self.substeps)
@@ -133,6 +134,7 @@ class Fitter:
             None if the model diverges from every start.
         """
         effects = hypothesis.effects
+        # reduced starts: the linear solution may lie beyond the region of convergence
         absent = Start([], *base.problem.unpack(base.point))
         shares = _SHARES if shared else (1.0,)
         reduced = [start.shared(effects, absent, share) for start in starts for share in shares]
@@ -142,6 +144,7 @@ class Fitter:
         placed = self.placed(effects, base, reduced)
         problem, nearest = placed[0]
         gain = _gain(base, problem, hypothesis.ratio)
+        # keep the start with the lowest cost, stop at a clearly good one
         for k in range(0, len(placed), len(shares)):
             for other, point in placed[k : k + len(shares)]:
                 cost = plain_cost(other, point, gain)
@@ -174,6 +177,7 @@ class Fitter:
         hypothesis, base = task
         problem, _ = base.extended(list(hypothesis.effects), self.motion)
 
+        # free runs of growing length by the search of `refine`
         def build(records: Sequence[Measurement], steps: int, unknown_start: bool = False) -> Problem:
             return problem.like(records=records, substeps=steps)
 
@@ -197,6 +201,7 @@ class Fitter:
 
         There are at most three rounds, and one if all samples are equally noisy.
         """
+        # iterate: noise model from the residual, fit under its weights
         best = self.scored(trial)
         for _ in range(_NOISE_ROUNDS if best.problem.size else 0):
             run = _descended(best.problem, best.run, best.noise, gain, evaluations)
@@ -219,6 +224,7 @@ class Fitter:
         """Return the trial at its minimum, with refined substeps and widths."""
         base, ratio = trial.base, trial.hypothesis.ratio
         problem, gain = trial.problem, _gain(base, trial.problem, ratio)
+        # finer substeps for force laws that jump
         if problem.in_time and not problem.structure.is_linear and problem.substeps < self.substeps:
             problem = problem.like(substeps=self.substeps)
             run = _descended(problem, trial.run, trial.noise, gain, 8)
@@ -244,6 +250,7 @@ class Fitter:
         """
         gain = _gain(trial.base, trial.problem, trial.hypothesis.ratio)
         for _ in range(_FINER if trial.problem.in_time and not trial.is_linear else 0):
+            # compare the log evidence at half the substep
             finer = trial.problem.like(substeps=2 * trial.problem.substeps)
             run = descend(finer, trial.point, gain=gain, evaluations=1)
             if not np.isfinite(run.cost):
@@ -265,6 +272,7 @@ class Fitter:
             effect, price = structure.effects[k], 0.5 * float(np.log(trial.problem.n_points))
             if not effect.spec.jumps or "width" in effect.fixed:
                 continue
+            # widths: halved, doubled, then in small steps, as long as the evidence rises
             for factor in _WIDTHS:
                 for _ in range(_WIDER):
                     widths = trial.problem.structure.constants
@@ -316,6 +324,7 @@ def _descended(
 
     The evaluation has plain weights.
     """
+    # residual and Jacobian of the start are known in this metric
     known = start.known(problem, gain) if isinstance(start, Descent) else None
     point = start.point if isinstance(start, Descent) else start
     given: dict[str, Any] = {"gain": gain, "tolerance": tolerance}
@@ -333,6 +342,7 @@ def _shapes_of(
     one = Structure(structure.model, [effect])
     names, shaping = [q.name for q in one.parameters], effect.spec.shaping
     shapes = []
+    # shapes from the motion, then those at which the law equals a given one
     for start in shape_starts(one, one.start(), motion):
         values = zip(names, map(float, start), strict=True)
         shapes.append({name: value for name, value in values if name in shaping})
@@ -360,6 +370,7 @@ def imitations(
     one of the other effects is such a parameter. With `special`, the others are special cases: none is too
     far, and offsets and initial states take a constant force.
     """
+    # force of the given effects along the motion; other laws by least squares
     along = [one for one in map(trial.force, which) if one is not None]
     if len(along) < len(which):
         return []
@@ -379,6 +390,7 @@ def imitations(
     whole = float(np.sum((force - linear.T @ np.linalg.lstsq(linear.T, force, rcond=1e-10)[0]) ** 2))
     structure, place, options = trial.problem.structure, trial.effects[which[0]].place, []
     given = {trial.effects[i]: trial.start.values[i] for i in which}
+    # share of the force that each law leaves at each shape
     for other in others:
         shapes = _shapes_of(other, structure, given, motion)
         for shape in shapes:

@@ -64,6 +64,7 @@ class TestedResidual:
 
     def __init__(self, fitted: FittedModel, ratio: float = 0.0, whitener: Whitener | None = None) -> None:
         self.fitted, self.ratio = fitted, ratio
+        # innovations, whitened; columns of the fit to be projected out
         blocks = fitted.blocks(ratio)
         self.whitener = whitener or fitted.problem.whitener([r for r, _ in blocks])
         self.residual = self.whitener.apply([r for r, _ in blocks])
@@ -79,6 +80,7 @@ class TestedResidual:
         self.left = project(self.residual, self.basis)
         self._weighted: tuple[Array, Array, Basis] | None = None
         self._outputs = self.whitener.outputs([r for r, _ in blocks])
+        # Huber's weights where a few samples are much noisier
         weights = huber_weights(self.left, self._outputs)
         if weights is not None:
             # skewed noise has no mean of zero once it is weighted: each output's level stays open
@@ -95,6 +97,7 @@ class TestedResidual:
 
         The columns have the shape (N, k), per output of each record.
         """
+        # whiten the columns of each output by its own filter
         white = [
             np.concatenate(
                 [
@@ -128,6 +131,7 @@ class TestedResidual:
         """
         if self._weighted is None or not test.dof:
             return test
+        # Bonferroni over the weighted and the plain test
         other = weighted(*self._weighted)
         return replace(test, p_value=min(1.0, 2.0 * min(test.p_value, other.p_value)))
 
@@ -142,6 +146,7 @@ class TestedResidual:
     def each(self, candidates: Sequence[Candidate]) -> list[FTest]:
         """F-test of each candidate on its own."""
         tests = []
+        # whiten and project many candidates at once
         for some in (candidates[i : i + _TOGETHER] for i in range(0, len(candidates), _TOGETHER)):
             columns = [c.columns[self.ratio] for c in some]
             joined = [np.concatenate(parts, axis=2) for parts in zip(*columns, strict=True)]
@@ -202,6 +207,7 @@ def run_tests(
         ``library`` (Bonferroni over the candidates), ``other laws``, ``changes with
         time``, ``parameters``, ``input``, ``powers of the input``.
     """
+    # library first, then the tests with a name, then the others
     known = {test.name: test for test in (_others(tested, motions) if others is None else others)}
     first = [known.pop(name) for name in _SHOWN if name in known]
     return [_library(tested, candidates, left_out), *first, *known.values()]
@@ -226,6 +232,7 @@ def _others(tested: TestedResidual, motions: Sequence[Motion]) -> Iterator[FTest
     """The tests without the library, those that cost little first."""
     fitted, ratio = tested.fitted, tested.ratio
     records = fitted.problem.records
+    # parameters, response patterns, inputs at lags, changes with time, generic forces
     yield _parameters(tested, motions[0])
     if not fitted.problem.in_time:
         yield from response_tests(tested)
@@ -247,6 +254,7 @@ def _library(tested: TestedResidual, candidates: Sequence[Candidate], left_out: 
     tests = [t for t in tests if t.dof]
     if not tests:
         return FTest("library", 0.0, 0, 1.0, 0.0, 1.0)
+    # the most significant candidate, with Bonferroni's correction for all
     best, count = min(tests, key=lambda t: t.p_value), len(tests) + left_out
     p_value, p_equal = (min(1.0, p * count) for p in (best.p_value, min(t.p_equal for t in tests)))
     return FTest(f"library (most: {best.name})", best.statistic, best.dof, p_value, best.gain, p_equal)
@@ -254,6 +262,7 @@ def _library(tested: TestedResidual, candidates: Sequence[Candidate], left_out: 
 
 def _parameters(tested: TestedResidual, motion: Motion) -> FTest:
     """Test whether the parameters of the model itself fit."""
+    # score test of the declared parameters that are not fitted
     fitted = tested.fitted
     held = {(e.kind, e.place) for e in fitted.structure.effects}
     effects = [
@@ -272,6 +281,7 @@ def _at_once(fitted: FittedModel) -> NDArray[np.bool_]:
     sample.
     """
     records = [engine.data for engine in fitted.problem.engines]  # with the hold of the model
+    # direct path through D that is seen above rounding
     direct = fitted.structure.matrices(fitted.theta).D[:, : records[0].n_inputs].real
     moved = np.concatenate([r.inputs for r in records], axis=1).std(axis=1)
     shown = np.concatenate([r.outputs for r in records], axis=1).std(axis=1)
@@ -283,6 +293,7 @@ def _lagged(record: Measurement, at_once: NDArray[np.bool_], powers: dict[int, i
     """Lagged powers of the inputs, for each output on its own: (N, k) each."""
     rows: list[list[Array]] = [[] for _ in range(record.n_outputs)]
     for j, row in enumerate(record.inputs):
+        # powers of the normalized input at lags of 0, 1, 2, ... samples
         unit = (row - row.mean()) / (float(np.std(row)) or 1.0)
         for power, lags in powers.items():
             signal = unit**power
@@ -308,6 +319,7 @@ def overall(tests: Sequence[FTest]) -> float:
     float
         0 where nothing could be tested: what was not tested has not passed.
     """
+    # Bonferroni
     valid = [t.p_value for t in tests if t.dof]
     return min(1.0, min(valid) * len(valid)) if valid else 0.0
 
@@ -364,6 +376,7 @@ def over_frequency(record: ResponseRecord) -> Array:
 
     They have the shape (n_omega, k), and neighboring values are similar.
     """
+    # hat functions over log frequency, with the prior covariance of a smooth curve
     along = np.log(record.omega)
     curve = Curve.along("", along, np.zeros(along.size))
     return np.asarray(curve.columns(along, np.zeros(along.size)) @ curve.root)
@@ -386,6 +399,7 @@ def _smooth(tested: TestedResidual) -> list[Array]:
     """Smooth complex factors on the response from each input to each output."""
     weights, blocks = tested.fitted.problem.weights, []
     for engine, record in _responses(tested):
+        # relative error that varies smoothly, complex, for each path
         model, shapes = engine.response(tested.fitted.theta, derivatives=False)[0], over_frequency(record)
         most = max(record.omega.size // _VALUES_PER_COLUMN, 1)
         shapes = shapes @ np.linalg.svd(shapes, full_matrices=False)[2].T[:, :most]
@@ -402,6 +416,7 @@ def _short(tested: TestedResidual) -> list[Array]:
     """Responses of a few samples from each input to each output."""
     weights, blocks = tested.fitted.problem.weights, []
     for _, record in _responses(tested):
+        # finite impulse response: exp(-j w T k) for a few lags
         lags = np.arange(min(_SHORT_LAGS, max(record.omega.size // _VALUES_PER_COLUMN, 1)))
         turns = np.exp(-1j * record.omega[:, None] * record.dt * lags)
         columns = []
@@ -421,6 +436,7 @@ def _neighbors(tested: TestedResidual) -> FTest:
     """
     products = []
     first = 0
+    # products of residuals at neighboring frequencies; independent, they sum to about zero
     for _, record in _responses(tested):
         rows = tested.left[first : first + record.noise.size].reshape(-1, record.omega.size)
         first += record.noise.size
@@ -456,6 +472,7 @@ def in_race(fitted: FittedModel, library: Sequence[Effect], ratios: Sequence[flo
         Effects at inputs, outputs and entries of A are always kept. Effects with a motion of their own are
         kept at more places, since a force along the motion only approximates them.
     """
+    # keep all places where there are few, otherwise those with the largest free force
     ports = {port.name for port in fitted.structure.model.ports}
     places = {effect.place for effect in library if effect.place in ports}
     if len(places) <= _MOST_PLACES or not fitted.problem.in_time:

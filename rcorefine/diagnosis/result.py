@@ -83,12 +83,14 @@ class RankedEffect(Row):
     @property
     def label(self) -> str:
         """Names of all its effects, and what else they may be called."""
+        # own effects, then other names of the same change
         own = " + ".join(effect.label for effect in self.effects)
         return " = ".join([own, *(row.label for row in self.same)])
 
     @property
     def estimates(self) -> list[tuple[Effect, dict[str, EstimatedParameter]]]:
         """Each effect with the rows of its coefficients by name."""
+        # rows of the refinement, by effect and coefficient
         rows = [row for row in self.refinement.parameters if row.role == "effect"]
         return [
             (e, {row.name: row for row in rows if (row.kind, row.place) == (e.kind, e.place)})
@@ -178,6 +180,7 @@ class Diagnosis(Reported):
 
         They are empty unless the verdict is "parameters".
         """
+        # only the re-estimated parameters of the model
         return () if self.floated is None else tuple(r for r in self.floated.parameters if r.role == "linear")
 
     none_of_these: float = np.nan
@@ -194,6 +197,7 @@ class Diagnosis(Reported):
 
         It is None where nothing was ranked or no place is likely.
         """
+        # places are sorted: the first is the most probable
         place, probability = next(iter(self.places.items()), (None, 0.0))
         return place if probability >= _EXCLUDED else None
 
@@ -203,6 +207,7 @@ class Diagnosis(Reported):
 
         It needs no force law. It is None for frequency responses, and where no force can act at the place.
         """
+        # smoothed force at the place of the largest probability
         model = self.base.physical_model
         if self.base.of_responses:
             return None
@@ -229,6 +234,7 @@ class Diagnosis(Reported):
             If there is none: the effect has a name, nothing is missing, or no table reduces the error of the
             free run.
         """
+        # a table exists only where no candidate explains the record
         if self.open_law is None:
             if self.verdict != "unexplained":
                 raise ModelError(
@@ -251,6 +257,7 @@ class Diagnosis(Reported):
     @property
     def best(self) -> RankedEffect | None:
         """First row of the ranking, None where nothing was needed or tried."""
+        # rows are sorted by probability
         return self.ranking[0] if self.ranking else None
 
     @property
@@ -259,6 +266,7 @@ class Diagnosis(Reported):
 
         They are empty where none is named.
         """
+        # effects count only where the verdict names them
         named = self.best is not None and self.verdict in ("effect", "ambiguous")
         return self.best.effects if named and self.best is not None else ()
 
@@ -275,10 +283,12 @@ class Diagnosis(Reported):
         """
         from ..refinement.refine import refit
 
+        # parameters: the fit with priors; nothing missing: the model as it is
         if self.floated is not None:
             return self.floated
         if self.best is None:
             return self.base
+        # fit the best set to convergence on the records of the diagnosis
         options = ("tolerance", "offset", "noise", "horizon")
         settings = {k: self.settings[k] for k in options if k in self.settings}
         ranked = self.best.refinement
@@ -363,6 +373,7 @@ class Diagnosis(Reported):
         """
         from .experiments import suggest
 
+        # experiments are simulated over time
         if self.base.of_responses:
             raise ModelError(
                 "experiments are planned for records in time; of frequency responses more outputs, a wider "
@@ -379,6 +390,7 @@ class Diagnosis(Reported):
         """
         from ..models.operating_point import ordered_record
 
+        # channels in the order of the model
         return [ordered_record(self.base.physical_model, r) for r in self.records]
 
     def sentences(self) -> list[str]:
@@ -442,6 +454,7 @@ class Step(Row):
     @property
     def name(self) -> str:
         """Action of the step, in words."""
+        # the first step is the initial model
         if self.effect is None:
             return "initial model" if self.action == "start" else self.action
         return f"{self.action} {self.effect.label}"
@@ -503,6 +516,7 @@ class Improvement(ReportedModel):
         -------
         list of str
         """
+        # change of the held-out error at each output
         first, last = self.steps[0], self.steps[-1]
         lines = []
         for i, label in enumerate(self.output_labels):
@@ -511,6 +525,7 @@ class Improvement(ReportedModel):
             fell = f" -> {after:.4g}{unit} ({100 * (after / before - 1):+.0f} %)" if before > 0 else unit
             error = f"{before:.4g}{fell if len(self.steps) > 1 else unit}"
             lines.append(f"Error of {label} on held-out data: {error}.")
+        # alternatives of each step
         for i, step in enumerate(self.steps):
             if step.effect is not None and step.rivals and step.action != "drop":
                 others = ", ".join(effect.label for effect in step.rivals)
@@ -523,6 +538,7 @@ class Improvement(ReportedModel):
 
         Offsets are among them where they differ from zero. The list is empty where the table holds all.
         """
+        # a single effect already stands in the table
         every, least = self.refinement.parameters, levels().moved
         rows = [r for r in every if r.role != "offset" or abs(r.coefficient) > least * r.std]
         if len(rows) < 2 and all(row.role == "effect" for row in rows):
@@ -564,6 +580,7 @@ def next_step(found: Diagnosis | Improvement) -> str:
     -------
     str
     """
+    # one line of Python that goes on from the verdict
     better = "better = found.refine(); print(better)"
     if isinstance(found, Improvement):
         return better.replace("refine()", "refinement") if len(found.steps) > 1 else "found.plot()"

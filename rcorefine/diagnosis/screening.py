@@ -90,6 +90,7 @@ class Screen:
         motion: Motion,
     ) -> None:
         self.fitted, self.metric, self.number_sd = fitted, metric, np.array(list(numbers.values()))
+        # whitened Jacobian of the fit; offsets and initial states have no prior
         blocks, problem = fitted.blocks(metric.ratio), fitted.problem
         p, sd = problem.n_theta, problem.prior_sd
         self._judged = problem.judged(fitted.theta)
@@ -98,17 +99,20 @@ class Screen:
         self.jacobian, held = jacobian, ~self.flat
         self.basis = Basis.of([j[:, :p][:, self.flat] for j in jacobian], [j[:, p:] for j in jacobian])
         self.held_sd = sd[held]
+        # residual at the prior means: what priors hold back belongs to the data
         r = self._white([b for b, _ in blocks], self._weights())
         columns = np.concatenate([j[:, :p][:, held] for j in jacobian]) * self.held_sd
         at_prior = (fitted.theta[held] - problem.prior_mean[held]) / self.held_sd
         parts = [(r - columns @ at_prior)[:, None], columns]
         self.n_held, self.n_numbers = columns.shape[1], len(numbers)
+        # columns of re-estimated parameters, in prior standard deviations
         if numbers:
             found = parameter_columns(fitted, list(numbers), motion, metric.ratio)
             parts.append(self.white(found) * self.number_sd)
         self.n_parameters = self.n_held + self.n_numbers
         self.groups: list[Group] = []
         at = 1 + self.n_parameters
+        # columns of each candidate; those in the span of the flat directions show nothing
         for candidate in candidates:
             for group, blocks_of in _groups_of(candidate, metric.ratio):
                 w = self.white(blocks_of)
@@ -121,6 +125,7 @@ class Screen:
                 self.groups.append(group)
                 parts.append(w)
                 at += w.shape[1]
+        # Gram matrix of residual, parameters and candidates, flat directions projected out
         self.raw = np.hstack(parts)
         self.scale = np.linalg.norm(self.raw, axis=0)
         self.scale[self.scale == 0] = 1.0
@@ -153,17 +158,20 @@ class Screen:
         The variance of the noise is estimated. The coefficients are in units of the scaled columns, those of
         the parameters first. With `open_` the parameters of the model are re-estimated, too.
         """
+        # Bayesian linear regression with unknown noise variance, by fixed-point iteration
         m, columns = self._columns(groups, open_)
         rr = max(float(self.G[0, 0]), _NOTHING)  # nothing is left of an exact record
         if not columns:
             return -0.5 * self.n * float(np.log(rr / self.n)), np.zeros(0)
         G, b = self.G[np.ix_(columns, columns)], self.G[columns, 0]
+        # unit prior for the parameters; for effects as large as the residual
         precision = np.r_[np.ones(m), np.full(len(columns) - m, 1.0 / rr)]
         variance, u = rr / self.n, np.zeros(0)
         for _ in range(3):
             u = np.linalg.solve(G / variance + np.diag(precision), -b / variance)
             rest = max(rr + 2 * float(b @ u) + float(u @ G @ u), 1e-12 * rr)
             variance = rest / self.n
+        # Occam factor: log det of posterior over prior precision
         A = G / variance + np.diag(precision)
         occam = float(np.linalg.slogdet(A)[1]) - float(np.sum(np.log(precision)))
         value = -0.5 * (self.n * float(np.log(variance)) + float(u @ (precision * u)) + occam)
@@ -171,16 +179,19 @@ class Screen:
 
     def next_scores(self, chosen: Sequence[Group], open_: bool) -> Array:
         """Return approximate gains in log evidence by each further group."""
+        # score of each further group: one Gram-Schmidt step in the metric of the present solution
         m, columns = self._columns(chosen, open_)
         rr = max(float(self.G[0, 0]), _NOTHING)
         value = self.solve(chosen, open_)[0]
         variance = max(float(np.exp(-2.0 * value / self.n)), 1e-12 * rr / self.n)
         S = self.G / variance
+        # Schur complement: what the chosen columns already explain
         if columns:
             precision = np.r_[np.ones(m), np.full(len(columns) - m, 1.0 / rr)]
             A = self.G[np.ix_(columns, columns)] / variance + np.diag(precision)
             B = self.G[columns, :] / variance
             S = S - B.T @ np.linalg.solve(A, B)
+        # gain in residual, then the price of the prior volume
         total = max(float(S[0, 0]), 1e-300)
         scores = np.full(len(self.groups), -np.inf)
         for i, g in enumerate(self.groups):
@@ -220,6 +231,7 @@ class Screen:
         list of (float, list of Group)
             Penalized log evidence and groups of each set; the empty set is included.
         """
+        # beam search: widen each set by the groups of highest score
         start = self.solve([], open_)[0]
         found: dict[tuple[int, ...], tuple[float, list[Group]]] = {(): (start, [])}
         beam: list[tuple[float, list[Group]]] = [(start, [])]
@@ -233,6 +245,7 @@ class Screen:
                         fresh[key] = (self.solve(more, open_)[0] - price * len(more), more)
             if not fresh:
                 break
+            # rank by evidence with a price per effect; keep the best sets
             ranked = sorted(fresh.items(), key=lambda item: -item[1][0])
             beam = [one for _, one in ranked[:width]]
             found |= dict(ranked[: 3 * width])
@@ -243,6 +256,7 @@ class Screen:
     ) -> list[Group]:
         """Return the best group of each effect that adds most to a set."""
         scores, found = self.next_scores(chosen, open_), dict[Effect, Group]()
+        # in order of the score, one group per effect
         for i in np.argsort(scores)[::-1]:
             group = self.groups[i]
             if not np.isfinite(scores[i]) or len(found) >= most:
@@ -262,6 +276,7 @@ class Screen:
 
         The target is the model of the screen, or the base with its re-estimated parameters.
         """
+        # coefficients back in the units of the columns
         u, (m, columns) = self.solve(groups, open_)[1], self._columns(groups, open_)
         values, at = [], m
         for g in groups:
@@ -269,6 +284,7 @@ class Screen:
             own = u[at : at + k] / self.scale[g.at]
             at += k
             values.append({**g.values, **{n: float(v) for n, v in zip(g.names, own, strict=False)}})
+        # parameters at their linear estimate, others as in the fit
         problem, mine = target.problem, self.fitted.theta
         theta, finite = problem.prior_mean.copy(), np.isfinite(problem.prior_sd)
         theta[: len(mine)] = mine
@@ -277,6 +293,7 @@ class Screen:
         elif target is not self.fitted and open_ and finite.sum() == m:
             sd = np.concatenate([self.held_sd, self.number_sd])
             theta[finite] = problem.prior_mean[finite] + u[:m] * sd
+        # offsets and initial states that go with the linear solution
         states = self.fitted.problem.unpack(self.fitted.point)[1].copy()
         rest = self.raw[:, 0] + (self.raw[:, columns] / self.scale[columns]) @ u
         if len(self.jacobian) <= _MOST_RECORDS and self.fitted.problem.free_start:
@@ -286,6 +303,7 @@ class Screen:
     def _settle(self, rest: Array, theta: Array, states: Array) -> None:
         """Correct offsets and initial states in place by least squares of `rest`."""
         p, width, n = self.fitted.problem.n_theta, int(self.flat.sum()), states.shape[1]
+        # block Jacobian: common offsets, and initial states of each record
         J = np.zeros((len(rest), width + n * len(self.jacobian)))
         first = 0
         for k, j in enumerate(self.jacobian):
@@ -304,6 +322,7 @@ def _groups_of(candidate: Candidate, ratio: float) -> list[tuple[Group, list[Arr
     """Return the groups of a candidate with their blocks (n_y, N, k)."""
     if ratio not in candidate.columns:
         return []
+    # coefficients of the effect: columns at each start, or secant columns as a whole
     law, blocks, p = candidate.effect.spec, candidate.columns[ratio], candidate.fitted.problem.n_theta
     k = blocks[0].shape[2]
     own = [q.name for q in candidate.problem.structure.parameters[p:]]
@@ -363,6 +382,7 @@ def compatible(chosen: Sequence[Effect], more: Effect) -> bool:
         law = effect.spec
         return bool(law.delays or (law.at_channel and any(c.unit_rule == "s" for c in law.coefficients)))
 
+    # one curve per argument and place, one delay, no law with its special case
     for other in chosen:
         if other.place == more.place:
             contained = other.kind in more.spec.contains or more.kind in other.spec.contains

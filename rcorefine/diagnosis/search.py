@@ -120,6 +120,7 @@ class Search:
     def base(self, nuisances: frozenset[Nuisance]) -> FittedModel:
         """Return the model fitted with these nuisances."""
         if nuisances not in self._bases:
+            # nuisances in a fixed order: hold, inputs, parameters, forces
             fitted = self.fitted
             for kind in (Hold, NoisyInputs, Parameters, UnmeasuredForce):
                 for one in (n for n in nuisances if isinstance(n, kind)):
@@ -147,6 +148,7 @@ class Search:
         record as well. Not at a mechanical place, where entries that are zero follow from the kinematics.
         """
         if trial not in self._spare:
+            # linear effects that add states at places other than mechanical ones
             ports = {port.name: port.kind for port in trial.problem.structure.model.ports}
             stores = [e for e in trial.effects if ports.get(e.place, "mechanical") != "mechanical"]
             added = sum(e.spec.inner_states for e in stores if e.spec.linear)
@@ -162,12 +164,14 @@ class Search:
         """
         gain = 0.0
         records, residuals = trial.problem.records, [r for r, _ in trial.blocks]
+        # output-error black box per output, whitened as the trial
         for i, a in enumerate(trial.noise.whitener.filters):
             own = [innovations(a, r[i])[a.size - 1 :] for r in residuals]
             boxes = []
             for record in records:
                 y, *w = (innovations(a, row)[a.size - 1 :] for row in (record.outputs[i], *record.inputs))
                 boxes.append(trial.problem.weights[i] * output_error(y, np.array(w), order)[1])
+            # log-likelihood ratio of black box and trial
             left, size = float(sum(r @ r for r in own)), sum(r.size for r in own)
             gain += 0.5 * size * float(np.log(max(float(np.square(boxes).sum()), 1e-300) / max(left, 1e-300)))
         return gain < 0.5 * self.case.levels.rival
@@ -186,6 +190,7 @@ class Search:
         self._refits += 1
         if trial is None or not np.isfinite(trial.total):
             return None
+        # one trial per hypothesis: the likelier fit, or the one with finer substeps
         for i, other in enumerate(self.trials):
             if other.hypothesis.key == trial.hypothesis.key:
                 if trial.total > other.total or (instead and trial.problem.substeps > other.problem.substeps):
@@ -252,6 +257,7 @@ class Search:
     def run(self) -> Search:
         """Run the search, fill the table, and return the search."""
         step = self.case.progress.step
+        # model as it is, then with re-estimated parameters
         with step("the model and its parameters"):
             nothing = self.empty(frozenset())
             if self.opened:
@@ -259,30 +265,36 @@ class Search:
         assert nothing is not None
         in_time = self.case.in_time
         strong = bool(in_time and nothing.model.refinement.fit.min() < _STRONG)
+        # first-order screening of the candidates, then single fits
         with step("first look at every effect"):
             near = in_race(self.fitted, self.library, (0.0, 1.0) if strong else (0.0,))
             screens = self._screens(self.fitted, near, strong)
         self._singles(screens, strong or not in_time)
+        # the best single effects together with the parameters
         with step("effects beside the parameters"):
             alone = [x for x in self.ranked() if len(x.effects) == 1]
             for trial in [x for x in alone if self.is_open(x.effects[0])][:3]:
                 self._beside_parameters(trial)
         self.polish()
+        # do the effects need the re-estimated parameters?
         self._without_parameters()
         if not self.passed(self.best) or self.best.hypothesis.floated:
             self._holds()
+        # sets of effects only if no single effect passes the tests
         if not self.passed(self.best):
             if self.most > 1:
                 self._sets([*screens, *self._screens_beside(near)])
             self._cores(self.ranked()[:4])
             self.polish()
         self._further()
+        # noise in the inputs and process noise, at the best trials
         asks = self.colored and self.driven and (self.best.effects or not self.passed(self.best))
         if asks and (self.passed(self.best) or self.affords("unmeasured forces")):
             with step("noise of the inputs, unmeasured forces"):
                 self._noisy_inputs()
                 self._forces()
             self.polish()
+        # other effects with the same force, then special cases
         with step("other names"):
             self._rename()
         self.polish()
@@ -319,6 +331,7 @@ class Search:
         These are white noise, the noise of its residual, and the noise that the best set leaves. With
         `strong`, a screen along the estimated motion is added (observer ratio 1).
         """
+        # white noise, then the noise of the residual, then what the best set leaves
         scored = candidate_columns(fitted, effects, self.motion, (0.0, 1.0) if strong else (0.0,))
         residual, noise = fitted.residuals(), self.fitter.noise_of
         numbers = self.numbers if fitted is self.fitted else {}  # else the model has them already
@@ -358,6 +371,7 @@ class Search:
         With `far`, the best ones are also sought in another local minimum, until one passes its tests. An
         effect that strong is confused only with effects at the same place, and `_names` tries these.
         """
+        # first-order ranking of single effects in each screen
         likely = [screen.beam(1, False, self.price)[: _SINGLES + 1] for screen in screens]
         effects = [groups[0].effect for ranked in likely for _, groups in ranked if groups]
         self._each(effects, screens)
@@ -374,6 +388,7 @@ class Search:
 
         They are fitted to the model as it is, and then together with re-estimated parameters.
         """
+        # other local minima, two effects at a time
         todo = [(Hypothesis((effect,)), self.fitted) for effect in effects]
         if self.opened and self.case.in_time:
             base = self.base(self.opened)
@@ -402,6 +417,7 @@ class Search:
         for effect in dict.fromkeys(effects):
             if not self.first_time("single", effect):
                 continue
+            # starts from the linear solutions of all screens
             starts = []
             for screen in screens[::-1]:
                 own = [g for g in screen.groups if g.effect == effect]
@@ -421,6 +437,7 @@ class Search:
     def _sets(self, screens: Sequence[Screen]) -> None:
         """Fit sets of effects with the parameters; refit the best four longer."""
         base, tasks = self.base(self.opened), []
+        # beam search in each screen, then a short fit of each set
         for screen in screens:
             # an effect that parameters hide is seen beside them only, alone as well as in sets
             every = [
@@ -437,6 +454,7 @@ class Search:
                     tasks.append((Hypothesis(effects, self.opened), base, start))
         begun = self.case.progress.map(self.fitter.together, tasks, "sets of effects")
         known = [trial for trial in begun if trial is not None]
+        # a longer fit of the best four
         for trial in known:
             self.add(trial)
         for trial in self.ranked(known)[:4]:
@@ -447,6 +465,7 @@ class Search:
         if not self.opened or not self.first_time("set", frozenset(trial.effects)):
             return
         here, base, n = trial.start, self.base(self.opened), self.fitted.problem.n_theta
+        # parameters at their prior means, and as fitted alone
         thetas = (np.concatenate([here.theta[:n], base.problem.prior_mean[n:]]), base.theta)
         self.try_(trial.effects, self.opened, [replace(here, theta=theta) for theta in thetas])
 
@@ -468,6 +487,7 @@ class Search:
         known = len(self.trials)
         if any(not self.is_open(effect) for effect in trial.effects):  # it is re-estimated with all others
             return []
+        # linearize at the trial: what do further effects explain of its residual?
         fitted = trial.model
         rest = not_held(self.case.library, fitted.structure.effects)
         scored = candidate_columns(fitted, [e for e in rest if self.is_open(e)], self.motion, (0.0,))
@@ -480,6 +500,7 @@ class Search:
         own = self.fitter.noise_of(residual)
         for metric in (Metric(Whitener.fit(residual, order=0)), Metric(own.whitener, own.weights)):
             screen = Screen(fitted, scored, numbers, metric, self.motion)
+            # pairs and single effects of the screen, added to the trial
             alone, pairs = (
                 [groups for _, groups in screen.beam(2, True, self.price) if len(groups) == n] for n in (1, 2)
             )
@@ -509,6 +530,7 @@ class Search:
             return
         others = [Hold(hold) for hold in HOLDS if hold not in holds]
         with self.case.progress.step("holds of the input"):
+            # each other hold with and without re-estimated parameters
             for hold, more in product(others, dict.fromkeys((frozenset[Nuisance](), self.opened))):
                 nuisances = frozenset([hold, *more])
                 trial = self.empty(nuisances)
@@ -536,6 +558,7 @@ class Search:
 
     def _forces(self) -> None:
         """Refit the most probable trials with an unmeasured force."""
+        # likely trials, refitted with the Kalman predictor
         near = [x for x in self.ranked() if self.posterior(x) > self.posterior(self.best) - _RIVALS]
         for trial in dict.fromkeys([*self._leaders(), *near[:4]]):
             if trial.hypothesis.ratio:
@@ -572,6 +595,7 @@ class Search:
                 self._special_case(trial, i, other)
             if len(trial.effects) < 2:
                 continue
+            # drop all undetermined effects at once, then one by one
             sure = np.array(trial.surest) >= self.case.levels.moved
             self._without(trial, np.flatnonzero(sure))
             for k in np.flatnonzero(~sure):
@@ -595,6 +619,7 @@ class Search:
         """Refit the best set with each force replaced by effects that imitate it."""
         for _ in range(2):
             best = self.best
+            # other effects in the place of one or several
             here = best.start
             for gone in _groups(best.effects):
                 for other, values in self._imitations(best, gone):
@@ -646,6 +671,7 @@ class Search:
         if is_number(other) and trial.hypothesis.floated:  # the parameters are held, except this one
             nuisances, n = nuisances - self.opened, self.fitted.problem.n_theta
             start = replace(start, theta=start.theta[:n])
+        # only if the special case has no better fit already
         known = [x.total for x in self.trials if x.hypothesis.key == (frozenset(effects), nuisances)]
         if not self.first_time("special", trial, i, other) or max(known, default=-np.inf) > trial.total:
             return
@@ -663,6 +689,7 @@ class Search:
         by a / (1 - a) samples.
         """
         dt, seconds = self.case.motions[0].data.dt, 0.0
+        # sum of the delays; a smoothing delays by a / (1 - a) samples
         for i in which:
             (c,), (value,) = trial.effects[i].spec.coefficients, trial.start.values[i].values()
             seconds += value if c.unit_rule == "s" else value / (1.0 - value) * dt
@@ -708,6 +735,7 @@ class Search:
     def polish(self) -> None:
         """Polish the fits close to the best one, at most `_POLISHED` of them."""
         with self.case.progress.step("polishing"):
+            # refine one fit after the other, the most probable first
             for _ in range(_POLISHED):
                 best = self.posterior(self.best)
                 done = [x for x, n in self._polished.items() if x.is_linear or n >= self.fitter.substeps]
@@ -734,6 +762,7 @@ class Search:
         with self.case.progress.step("substeps"):
             for _ in range(2):  # the first may need what only a later one asks for
                 for i, trial in enumerate(found):
+                    # the same substeps for all, so that they compare
                     least = max(one.problem.substeps for one in found)
                     found[i] = self.fitter.settled(trial, least)
         known, pairs = self._criticism, zip(found, trials, strict=True)
@@ -759,11 +788,13 @@ class Search:
 
     def _criticize(self, trial: Trial) -> Criticism:
         case, fitted = self.case, trial.model
+        # tests without candidates are cheap and come first
         others = passed_without_library(trial.tested, self._motions(trial), case.significance)
         if others is None and not case.passes([], fitted):  # a response may be solved up to rounding
             return Criticism(False, [], -np.inf)
         tests = self.all_tests(trial, others)
         odds = -np.inf
+        # free forces at the places of the effects, only if all else passes
         for place in dict.fromkeys(e.place for e in trial.effects if case.passes(tests, fitted)):
             more, against = self._beside(trial, place)
             tests += more
@@ -787,6 +818,7 @@ class Search:
 
     def all_tests(self, trial: Trial, others: Sequence[FTest] | None = None) -> list[FTest]:
         """Return all residual tests of a trial except those of free forces."""
+        # score tests of the candidates that the trial does not hold
         fitted, ratio, motions = trial.model, trial.hypothesis.ratio, self._motions(trial)
         rest = not_held(self.case.library, fitted.structure.effects)
         if fitted.problem.dwells:  # a harmonic balance of two nonlinear effects is slow

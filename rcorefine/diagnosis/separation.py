@@ -164,14 +164,17 @@ def separation(contenders: Sequence[Contender], plan: Plan, ratio: float = 0.0) 
     Beyond that, the spread of the coefficients of i and the different freedom of the
     candidates enter through draws of the linearized statistic, all candidates at once.
     """
+    # each contender as a structure with the information from the present record
     sides = [_side(c.refinement, plan, ratio) for c in contenders]
     steps = max(side.substeps for side in sides)
     k = len(sides)
     distances = np.zeros((k, k))
     right = wrong = 0.0
     samples = plan.record.n_samples * sides[0].structure.n_outputs
+    # Schwarz's penalty: of the new record alone, or of what it adds
     price = np.log(samples) if not plan.joined else np.log1p(samples / max(plan.before, 1))
     decided = levels().rival
+    # each contender in turn is the truth: simulate, refit the others, compare
     for i, truth in enumerate(sides):
         if contenders[i].weight == 0:
             continue
@@ -187,8 +190,10 @@ def separation(contenders: Sequence[Contender], plan: Plan, ratio: float = 0.0) 
         lead = np.zeros(k - 1)
         if plan.joined:
             lead = np.array([contenders[i].twice_log - contenders[j].twice_log for j in others])
+        # present log-likelihoods and penalties are the start of the lead
         lead = lead + price * np.array([contenders[j].surplus - contenders[i].surplus for j in others])
         margins = _margins(own, fits) + lead
+        # decided if the truth leads all others by `rival`
         right += contenders[i].weight * float(np.mean((margins > decided).all(axis=1)))
         wrong += contenders[i].weight * float(np.mean((margins < -decided).any(axis=1)))
     return Separation(right, wrong, distances)
@@ -210,6 +215,7 @@ def _information_root(covariance: Array) -> Array:
     """
     seen = np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0)
     sd = np.sqrt(np.diag(covariance)[seen])
+    # inverse square root by the eigenvectors of the correlation matrix
     values, vectors = np.linalg.eigh(covariance[np.ix_(seen, seen)] / np.outer(sd, sd))
     keep = values > _KNOWN * values.max(initial=0.0)
     root = np.zeros((int(keep.sum()), covariance.shape[0]))
@@ -219,6 +225,7 @@ def _information_root(covariance: Array) -> Array:
 
 def _simulated(side: _Side, plan: Plan, steps: int) -> Measurement:
     """Return the record that this contender would produce, without noise."""
+    # the contender's own response, sensor noise left out
     shell, structure = plan.record, side.structure
     ins, outs = structure.linear_model.input_labels, structure.linear_model.output_labels
     silent, hold = np.zeros((len(outs), shell.n_samples)), shell.hold
@@ -240,6 +247,7 @@ class _Fit:
         self.gain = None
         if side.ratio > 0:
             self.gain = observer_gain(side.structure, side.theta, record, side.ratio)
+        # coefficients of the contender, initial states along its run
         self.point = self.problem.pack(side.theta, self._starts(pieces, record, steps))
         self.residual, self.slopes = self._rows(self.point)
 
@@ -257,6 +265,7 @@ class _Fit:
         """Whitened residual and slopes, the prior's rows below them."""
         blocks = evaluated(self.problem, point, self.gain)
         side = self.side
+        # data rows whitened, then the prior from the present record
         r = self.whitener.apply([block for block, _ in blocks])
         J = self.whitener.apply(self.problem.whole([jacobian for _, jacobian in blocks]))
         below = np.pad(side.root, ((0, 0), (0, self.problem.size - side.theta.size)))
@@ -278,6 +287,7 @@ class _Fit:
             residual, slopes = (self.residual, self.slopes) if known else self._rows(point)
             return Rows(residual, problem.coordinates.columns(slopes, point), (point, residual, slopes))
 
+        # as exact as the decision needs: coarse where the distance is large
         def settled(cost: float, gain: float) -> bool:
             left = 2.0 * (cost - gain)
             return 2.0 * gain < 0.02 + (0.1 if left > _PLAIN else 0.003) * left
@@ -293,6 +303,7 @@ class _Fit:
 
     def basis(self) -> Array:
         """Orthonormal basis of what this contender can absorb, data rows only."""
+        # orthonormal basis by the eigenvectors of the normalized Gram matrix
         size = np.linalg.norm(self.slopes, axis=0)
         unit = self.slopes[:, size > 0] / size[size > 0]
         values, vectors = np.linalg.eigh(unit.T @ unit)
@@ -308,6 +319,7 @@ def _margins(own: _Fit, fits: Sequence[_Fit]) -> Array:
     |u|^2 - |Q'u|^2.
     """
     n, side = own.n_data, own.side
+    # spread of the true coefficients under the present information
     spread = np.zeros((n, 0))
     if side.root.shape[0]:
         values, vectors = np.linalg.eigh(side.root.T @ side.root)
@@ -316,12 +328,14 @@ def _margins(own: _Fit, fits: Sequence[_Fit]) -> Array:
     Q = own.basis()
     parts = [Q, *(fit.basis() for fit in fits), np.column_stack([fit.residual[:n] for fit in fits])]
     widths = np.cumsum([0, *(part.shape[1] for part in parts)])
+    # all needed inner products are Gaussian with covariance B'B: draw them directly
     B = np.concatenate(parts, axis=1)
     values, vectors = np.linalg.eigh(B.T @ B)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     rng = np.random.default_rng(0)  # the same draws for every plan: options differ by what they are
     along = rng.standard_normal((_DRAWS, B.shape[1])) @ root.T
     along += rng.standard_normal((_DRAWS, spread.shape[1])) @ (B.T @ spread).T
+    # energy that each contender absorbs from noise and spread
     absorbed = [np.sum(along[:, a:b] ** 2, axis=1) for a, b in pairwise(widths[:-1])]
     crossed = along[:, widths[-2] :]
     return np.column_stack(
@@ -347,6 +361,7 @@ def with_sensor(model: PhysicalModel, label: str, row: Array) -> PhysicalModel:
     """
     linear = model.linear
     blank = np.zeros((1, linear.n_inputs))
+    # unit of the state, if the sensor reads a single one
     state = int(np.flatnonzero(row)[0])
     unit = model.state_units[state] if model.state_units and np.count_nonzero(row) == 1 else ""
     units = (*model.output_units, unit) if model.output_units else ()
@@ -404,6 +419,7 @@ def _unread(model: PhysicalModel) -> list[str]:
 
     No output reads them yet, and they are of the kind that the present sensors measure.
     """
+    # states of the kind that is measured: positions or velocities, and first-order states
     mechanical = [port for port in model.ports if port.kind == "mechanical"]
     n = model.linear.n_states
     places, rates = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)

@@ -53,8 +53,10 @@ def by_smaller_motion(found: Diagnosis, case: Case, model: Any) -> Diagnosis:
         parts = split_in_parts(case.records, None)
     except DataError:  # too short for three parts
         return found
+    # one horizon for the three parts of the decay
     horizon, _ = common_horizon(case.base.physical_model, case.ordered, case.settings["horizon"])
     settings = case.options | {"horizon": horizon}
+    # search on the first part, with the largest motion
     start, part = case_of_part(case, model, parts.fit, settings)
     search = Search(part, _MOST).run()
     # choose on the smaller one
@@ -69,6 +71,7 @@ def by_smaller_motion(found: Diagnosis, case: Case, model: Any) -> Diagnosis:
     path.follow(start, None, chosen.model.refinement, chosen.effects, "effect", tied)
     if path.back() or not path.is_close:
         return found
+    # errors on the last part, and the ranking with the chosen set first
     left = path.errors_on(parts.judge, path.steps[-1].refinement)
     own = _ranked(chosen.effects, path.steps[-1].refinement, found)
     return _renamed(found, own, tied, left, search.tests(chosen), about_hold(chosen, search))
@@ -115,6 +118,7 @@ def case_of_part(
     part : Case
         With offsets at all channels.
     """
+    # the initial model fitted to this part, with its own offsets
     start = base_fit(model, records, free=case.settings["free"], **settings)
     asked = settings | {"free": (), "matters": case.levels.matters}
     library = not_held(case.library, start.effects)

@@ -97,6 +97,7 @@ def table(search: Search) -> list[TableRow]:
     parameters held, and with them re-estimated. Likely sets that are the same change of the model have one
     row.
     """
+    # trials by their set of effects; the empty set with held and with free parameters
     by_set: dict[Any, list[Trial]] = {}
     for trial in search.ranked():
         if search.determined(trial):
@@ -104,10 +105,12 @@ def table(search: Search) -> list[TableRow]:
     excluded = -0.5 * search.case.levels.rival
     rows = []
     for key, trials in by_set.items():
+        # probability of a set: sum over its nuisances
         values = [search.posterior(trial) for trial in trials]
         near = [t for t, v in zip(trials, values, strict=True) if v > values[0] + excluded]
         rows.append(TableRow(near[0].effects, key is True, float(np.logaddexp.reduce(values)), near))
     rows.sort(key=lambda row: -row.value)
+    # equal changes of the model share a row
     likely = [row for row in rows if row.effects and row.value > rows[0].value + excluded]
     rest = [row for row in rows if row not in likely]
     return sorted([*_distinct(likely), *rest], key=lambda row: -row.value)
@@ -134,6 +137,7 @@ def special(one: Sequence[Effect], other: Sequence[Effect]) -> bool:
     Both have the same number of effects. Each effect of the first is in the second, or is contained in an
     effect of the second at the same place.
     """
+    # each effect equal, or a special case at the same place
     if len(one) != len(other) or set(one) == set(other):
         return False
 
@@ -164,14 +168,17 @@ def answer(search: Search, rows: Sequence[TableRow], passed: Callable[[Trial], b
     total = float(np.logaddexp.reduce([row.value for row in rows]))
     nothing = next(row for row in rows if not row.effects and not row.floated)
     top, first = search.ranked()[0], rows[0]
+    # a set that is far more probable but undetermined makes the answer uncertain
     unexplained = Answer("unexplained", first, first.trials[0], first.effects, (), (), np.nan, 1.0)
     if search.posterior(top) > rows[0].value + keeps + search.price and not search.determined(top):
         return unexplained
+    # adequate: no set is clearly more probable, and the residual passes
     plainest = sorted(nothing.trials, key=lambda trial: len(trial.hypothesis.nuisances))
     fine = rows[0].value - nothing.value < keeps and next(filter(passed, plainest), None)
     if fine:
         share = float(np.exp(nothing.value - total))
         return Answer("adequate", nothing, fine, (), (), (), share, np.nan)
+    # the most probable sets in turn: the first that passes its tests is named
     for row in rows[:4]:
         if row.value < rows[0].value + excluded:
             break
@@ -200,6 +207,7 @@ def close_models(search: Search) -> list[Trial]:
     coefficients are returned: the evidence does not decide between models that are all inexact. Parameters
     alone are not returned: they imitate many a law to within what matters.
     """
+    # free runs only; process noise hides model error
     free_runs = [t for t in search.ranked() if not t.hypothesis.ratio and search.determined(t)]
     nothing = search.trials[0]
     before = _model_error(search, nothing)
@@ -209,6 +217,7 @@ def close_models(search: Search) -> list[Trial]:
     def close(trial: Trial) -> bool:
         return _model_error(search, trial) <= min(1.0, _LEFT_OVER * before)
 
+    # among the close sets those with the fewest coefficients
     found = [trial for trial in [t for t in free_runs if t.effects][:_CLOSE] if close(trial)]
     least = min(map(_n_coefficients, found), default=0)
     return [trial for trial in found if _n_coefficients(trial) == least]
@@ -231,6 +240,7 @@ def _likely(rows: Sequence[TableRow], row: TableRow, total: float) -> bool:
 
     Rows before the given one failed. Its special cases, and rows that contain it, do not count.
     """
+    # probability of rows that failed, related sets left out
     failed = [one.value for one in rows[: rows.index(row)] if not _related(one, row)]
     return bool(np.logaddexp.reduce(failed or [-np.inf]) < total + np.log(0.5))
 
@@ -256,6 +266,7 @@ def _named(
 ) -> Answer:
     """Return the answer for a row with a trial that passes its tests."""
     levels, family = search.case.levels, _family(rows, row)
+    # a simpler law is preferred if it is nearly as probable and passes
     simpler = [r for r in family if special(r.effects, row.effects) and r.value > row.value - levels.family]
     passing = [(r, t) for r in simpler[:1] for t in r.trials[:3] if passed(t)]
     if passing:
@@ -269,6 +280,7 @@ def _named(
         family = [r for r in family if r not in contested]
     total = float(np.logaddexp.reduce([r.value for r in rows]))
     mass = float(np.logaddexp.reduce([r.value for r in [row, *family]]))
+    # probability that the force is of another form, from the free-force odds
     none = 1.0 / (1.0 + float(np.exp(-search.criticized(trial).odds)))
     probability = float(np.exp(mass - total)) * (1.0 - none)
     free = trial.hypothesis.floated
@@ -277,8 +289,10 @@ def _named(
     if not effects:
         word = "parameters" if free or row.effects else "adequate"
         return Answer(word, row, trial, (), (), (), probability, none)
+    # ties: other rows that the data cannot distinguish from this one
     near = [r for r in rows if r.value > row.value - 0.5 * levels.rival]
     ties = tuple(r for r in near if r not in (row, *family))
+    # named alone: probable enough, or at least one half and nothing near
     alone = probability >= levels.named or (probability >= 0.5 and not ties)
     word = "effect" if alone and (passing or not simpler) else "ambiguous"
     return Answer(word, row, trial, effects, ties, tuple(family), probability, none)
@@ -317,6 +331,7 @@ def ranking(
     tuple of RankedEffect
     """
     horizon = case.settings["horizon"]
+    # fit on validation data, p-values by score tests
     before = _validated(case.base, validation, horizon)
     every = [*trials, *(trial for others in same for trial in others)]
     effects = list(dict.fromkeys(effect for trial in every for effect in trial.effects))
@@ -371,6 +386,7 @@ def undetermined(refinement: Refinement, effect: Effect, levels: Levels) -> list
         with an inertia of the model held: where all forces and masses scale together, as in a free decay,
         only ratios act.
     """
+    # standard deviations beside a known inertia
     rows, law = _with_an_inertia_held(refinement, estimates(refinement, effect)), effect.spec
     values = {name: row.coefficient for name, row in rows.items()}
     loose = {name: row for name, row in rows.items() if not abs(row.coefficient) > levels.moved * row.std}
@@ -393,6 +409,7 @@ def _with_an_inertia_held(
     known = [i for i in inertias if np.isfinite(C[i]).all() and C[i, i] > 0]
     if not known:
         return rows
+    # conditional variance: covariance minus what one known inertia takes away
     own = [every.index(row) for row in rows.values()]
     variance = np.min([np.diag(C)[own] - C[i, own] ** 2 / C[i, i] for i in known], axis=0)
     std = np.sqrt(np.maximum(variance, 0.0))
@@ -415,6 +432,7 @@ def detectable(
     (`Levels.power`), at the level `significance` shared by all tests and candidates. In a short record the
     effect is a large part of the residual, so the noise is that which would be taken for it then.
     """
+    # two-sided, shared by all tests and candidates
     chance, found = significance / (2 * tests * max(len(scored), 1)), []
     for candidate in scored:
         if len(candidate.effect.free) != 1 or len(candidate.starts) != 1:
@@ -425,6 +443,7 @@ def detectable(
                 break
             columns = candidate.columns[tested.ratio]
             rows = zip(tested.fitted.residuals(tested.ratio), columns, strict=True)
+            # in a short record the effect itself enters the noise model
             whitener = tested.fitted.problem.whitener([r + smallest * c[:, :, 0] for r, c in rows])
             spoiled = TestedResidual(tested.fitted, tested.ratio, whitener)
             smallest = max(smallest, _smallest(spoiled, candidate, chance, levels.power))
@@ -440,6 +459,7 @@ def _smallest(tested: TestedResidual, candidate: Candidate, chance: float, power
 
     It is infinite where nothing is seen of the candidate.
     """
+    # whitened column outside the fitted directions
     white = tested.whiten(candidate.columns[tested.ratio])[:, 0]
     column = project(white, tested.basis)
     size = float(np.linalg.norm(column))

@@ -60,6 +60,7 @@ def sentences(found: Diagnosis) -> list[str]:
     -------
     list of str
     """
+    # headline first; the rest depends on the verdict
     lines = [_headline(found)]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
     if found.verdict == "adequate":
@@ -72,6 +73,7 @@ def sentences(found: Diagnosis) -> list[str]:
             shown = (f"{d.effect.label} {d.smallest:.3g} {d.unit}".strip() for d in found.detectable[:4])
             if said := ", ".join(shown):
                 lines.append(f"Smallest effects that it would show (95 % probability): {said}.")
+    # other verdicts: the residual tests, then what the model leaves
     elif worst is not None:  # without motion nothing could be tested
         lines += [*_open_law(found), *_tests(found, worst), *_left(found), *_meaning(found)]
     lines += [*_other_names(found), *_offsets(found), *_other_forces(found)]
@@ -90,6 +92,7 @@ def _left(found: Diagnosis) -> list[str]:
     """Describe what the model of the verdict leaves of the motion."""
     if not found.error_shares:
         return []
+    # the output with the largest model error
     worst = max(found.error_shares, key=lambda one: one.model)
     said = f"The free run leaves {in_percent(worst.share)} of the motion of {worst.output}: the error of the "
     said += f"model is at most {in_percent(worst.model)}"
@@ -111,6 +114,7 @@ def _offsets(found: Diagnosis) -> list[str]:
     """Return the offsets that the named model includes."""
     if found.verdict == "adequate":  # they are told with what else was absorbed
         return []
+    # offsets that differ clearly from zero
     named = found.best.refinement if found.best is not None and found.effects else found.base
     rows = [r for r in (found.floated or named).parameters if r.role == "offset" and _moved(r)]
     return [f"The fit includes {', '.join(map(_one, rows))}."] if rows else []
@@ -134,6 +138,7 @@ def _other_forces(found: Diagnosis) -> list[str]:
 
 def _headline(found: Diagnosis) -> str:
     """Return the verdict in a sentence."""
+    # adequate in spite of significant tests
     if np.isfinite(found.adequate_to) and not found.ranking:
         said = "This record shows no missing effect that matters"
         return f"{said}: the model is adequate to {in_percent(found.adequate_to)}."
@@ -155,6 +160,7 @@ def _headline(found: Diagnosis) -> str:
 
 def _alike(found: Diagnosis) -> str:
     """List the hypotheses that the data cannot distinguish."""
+    # several rows tie, or one row and a force that has no name
     tied = [row.label for row in found.ranking if row.alike]
     named = [effect.label for effect in found.ambiguous]
     if len(tied) != 1:
@@ -167,6 +173,7 @@ def _alike(found: Diagnosis) -> str:
 
 def _tests(found: Diagnosis, worst: FTest) -> list[str]:
     """Return the results of the residual tests, if not adequate."""
+    # tests of the model as given, then of the best candidate
     if overall(found.tests) < found.significance:
         lines = [f"The residual of the model as given is not noise: {failed_test(worst)}."]
     elif found.verdict == "unexplained":
@@ -220,6 +227,7 @@ def no_test_fires(found: Diagnosis) -> str:
 
 def _open_law(found: Diagnosis) -> list[str]:
     """Describe the tabulated force that no candidate explains."""
+    # table at a port or curve of a channel, with its fit
     law = found.open_law
     if law is None:
         return []
@@ -251,6 +259,7 @@ def _meaning(found: Diagnosis) -> list[str]:
     if found.best is None or (found.verdict == "unexplained" and not found.best.effect.spec.of_record):
         return []
     effect, values = found.best.effect, found.best.coefficients
+    # faults of the record, differenced encoders, gains and units need a word
     if effect.spec.of_record:
         return [_of_record(effect, values, sure=found.verdict == "effect")]
     if effect.spec.of_differences and effect.prior:
@@ -318,6 +327,7 @@ def what_was_absorbed(base: Refinement) -> str:
     str
         One sentence, empty where no number moved by more than chance.
     """
+    # changes by their significance
     moved = [row for row in base.parameters if row.role != "effect" and _moved(row)]
     if not moved:
         return ""
@@ -344,6 +354,7 @@ def numbers_that_moved(rows: Sequence[EstimatedParameter]) -> str:
     str
         One sentence.
     """
+    # changes by their significance, then a caution for large ones
     sure = sorted((r for r in rows if _moved(r)), key=lambda r: -abs(r.coefficient) / max(r.std, 1e-300))
     said = [
         f"{row.name} {with_error(row.value / row.initial, row.std / abs(row.initial))} times nominal"
@@ -385,6 +396,7 @@ def determined(model: Refinement) -> list[EstimatedParameter]:
     widths = np.array([prior[row.kind, row.place] for row in rows]) / size
     C = model.covariance[np.ix_(at, at)] / np.outer(size, size)
     left, held = C, list[int]()
+    # hold the parameters that determine most others, one after the other
     while True:
         sds = np.sqrt(np.maximum(np.diag(left), 1e-300))
         alike = np.sum(np.abs(left / np.outer(sds, sds)) > np.sqrt(1.0 - _ALONE), axis=0)
@@ -395,6 +407,7 @@ def determined(model: Refinement) -> list[EstimatedParameter]:
         taken = left[:, held[-1]]
         left = left - np.outer(taken, taken) / taken[held[-1]]
         left[held[-1]] = left[:, held[-1]] = 0.0
+    # regress the held ones on each: exponents of the product
     powers = -np.linalg.lstsq(C[np.ix_(held, held)], C[held], rcond=None)[0]
     found = [row for i in linear if not (row := model.parameters[i]).initial]
     for i, row in enumerate(rows):

@@ -52,6 +52,7 @@ class DamageCandidate:
 
 def nominal_values(model: Any, physical: PhysicalModel) -> dict[tuple[str, str], float]:
     """Values of the parameters by kind and place, as built or as refined."""
+    # values as built; a refinement replaces those it estimated
     nominal = {(q.kind, q.place): q.value for q in physical.parameters}
     if isinstance(model, Refinement):
         nominal.update({(row.kind, row.place): row.value for row in model.parameters if row.initial != 0})
@@ -64,8 +65,10 @@ def default_rule(physical: PhysicalModel, nominal: Mapping[tuple[str, str], floa
     With dampers in the model, each damped link has its own damping. Otherwise one factor scales all modal
     damping ratios.
     """
+    # dampers in the model: each may change on its own
     if any(kind == Damping.name and value != 0 for (kind, _), value in nominal.items()):
         return "links"
+    # one factor for all modal damping ratios, where these are defined
     try:
         RatioStructure(physical)
     except ModelError:
@@ -78,6 +81,7 @@ def candidate_effects(physical: PhysicalModel, given: Sequence[Any] | None, rule
 
     With the rule "links", every damper is a candidate, too.
     """
+    # given: names of places mean their stiffness
     if given is not None:
         entries = (
             [given] if isinstance(given, str | Effect) else as_list(given, "candidates", "effects or places")
@@ -93,6 +97,7 @@ def candidate_effects(physical: PhysicalModel, given: Sequence[Any] | None, rule
         if len(set(effects)) < len(effects):
             raise ct.ControlArgument("candidates holds an effect twice; give each once")
     else:
+        # by default every spring, and with the rule "links" every damper or, without any, one at each spring
         springs = [q.place for q in physical.parameters if q.kind == Stiffness.name and q.value != 0]
         effects = [Effect(Stiffness.name, place) for place in springs]
         if rule == "links":
@@ -115,6 +120,7 @@ def as_candidates(
 ) -> list[DamageCandidate]:
     """The effects with their columns, and the sizes that count as 100 percent."""
     names = {(q.kind, q.place): q.name for q in structure.model.parameters}
+    # one column of the problem each; changes count relative to the nominal value
     found = []
     for index, effect in enumerate(effects):
         column = structure.position(index, effect.coefficients[0])
@@ -156,8 +162,10 @@ class SharedSetting:
 
     def structure(self, effects: Sequence[Effect]) -> Structure:
         """Model with some effects and all nuisances."""
+        # changes first, then nuisances, then effects of the refinement
         everything = [*effects, *(e for e, _ in self.nuisances), *self.base]
         made: type[Structure] = RatioStructure if self.ratio else Structure
+        # widths of smoothed laws follow from the motion
         plain = made(self.physical, everything)
         return made(self.physical, everything, constants=law_widths(plain, self.motion))
 
@@ -167,6 +175,7 @@ class SharedSetting:
         roles = ["change"] * len(effects) + [role for _, role in self.nuisances]
         roles += ["effect"] * (len(structure.effects) - len(roles))
 
+        # Gauss-Newton from the nominal model, or from the spectrum where that does not converge
         def fit() -> Fit:
             return Fit(structure, roles, self.segments, self.noise, self.initial, self.tolerance)
 
@@ -208,6 +217,7 @@ def named_hypotheses(hypotheses: Any) -> dict[str, tuple[Effect, ...]]:
         if key in found:
             raise ct.ControlArgument(f"hypotheses holds {key!r} twice; give each scenario once")
         found[key] = effects
+    # no damage is always among the scenarios
     if not any(len(effects) == 0 for effects in found.values()):
         found[UNDAMAGED] = ()
     return found
@@ -243,7 +253,9 @@ def rank_hypotheses(setting: SharedSetting, hypotheses: Any) -> tuple[Hypothesis
     blamed = {(e.kind, e.place) for effects in scenarios.values() for e in effects}
     rest = tuple((e, role) for e, role in setting.nuisances if (e.kind, e.place) not in blamed)
     setting = replace(setting, nuisances=rest)
-    rows = [_fitted(setting, name, effects) for name, effects in scenarios.items()]
+    # each scenario is fitted with the same nuisances
+    rows = [_fit_scenario(setting, name, effects) for name, effects in scenarios.items()]
+    # Bayesian information criterion; weights exp(-BIC / 2) as probabilities
     criterion = np.array([row.bic for row in rows])
     weight = np.exp(-0.5 * (criterion - criterion.min()))
     weight /= weight.sum()
@@ -251,12 +263,14 @@ def rank_hypotheses(setting: SharedSetting, hypotheses: Any) -> tuple[Hypothesis
     return tuple(sorted(ranked, key=lambda row: row.bic))
 
 
-def _fitted(setting: SharedSetting, name: str, effects: tuple[Effect, ...]) -> HypothesisRow:
+def _fit_scenario(setting: SharedSetting, name: str, effects: tuple[Effect, ...]) -> HypothesisRow:
     joint = setting.joint(effects)
+    # likelihood of the residual whitened by an autoregressive model
     structure, whitener = joint.structure, Whitener.fit([joint.residual], floor=1e-150)
     value = whitener.log_likelihood(joint.residual.shape[1])
     spread = joint.spread(np.ones(structure.n_parameters, dtype=bool))
     changes, std, percent = {}, {}, {}
+    # changes with deviations, absolute and in percent of the nominal value
     for i, parameter in enumerate(structure.parameters):
         if parameter.effect < len(effects):
             effect, change = effects[parameter.effect], float(joint.theta[i])
@@ -264,6 +278,7 @@ def _fitted(setting: SharedSetting, name: str, effects: tuple[Effect, ...]) -> H
             size = setting.nominal.get((effect.kind, effect.place), 0.0)
             if size:
                 percent[parameter.label] = 100.0 * change / size
+    # BIC: parameters and coefficients of the noise model count
     bic = float(
         -2.0 * value + (structure.n_parameters + sum(whitener.orders)) * np.log(joint.problem.n_points)
     )

@@ -19,6 +19,7 @@ from ..systems.linear import Array, LinearModel
 
 def overall(tests: Sequence[FTest]) -> float:
     """Smallest p-value, corrected for the number of tests."""
+    # Bonferroni: the smallest p-value times the number of tests
     valid = [test.p_value for test in tests if test.dof]
     return min(1.0, min(valid, default=1.0) * len(valid))
 
@@ -62,6 +63,7 @@ class DamageRow(Row):
     place: str
     nominal: float
     unit: str
+    # change: with the named ones only; joint: with all candidates free
     change: float
     std: float
     joint: float
@@ -69,6 +71,7 @@ class DamageRow(Row):
     percent: float
     percent_std: float
     p_value: float
+    # detection limit: smallest change found with probability `power`
     limit: float
     limit_percent: float
     named: bool
@@ -85,6 +88,7 @@ class DamageRow(Row):
 
         It is in `unit` where the model has no value.
         """
+        # 95 % of a normal distribution
         if self.nominal == 0:
             return self.change - 1.96 * self.std, self.change + 1.96 * self.std
         return self.percent - 1.96 * self.percent_std, self.percent + 1.96 * self.percent_std
@@ -183,16 +187,19 @@ class DamageMap(Result):
         What happened, in words.
     """
 
+    # rows of all candidates, and those that the data see only together
     name: str
     rows: tuple[DamageRow, ...]
     groups: tuple[tuple[str, ...], ...]
     ranking: tuple[HypothesisRow, ...]
     nuisances: tuple[NuisanceRow, ...]
+    # covariance of the joint estimate, (m, m)
     covariance: Array
     linear: LinearModel
     damping: str
     significance: float
     power: float
+    # fit, error and residual of the model with the named changes
     fit: Array
     rmse: Array
     initial_fit: Array
@@ -214,6 +221,7 @@ class DamageMap(Result):
     @property
     def named(self) -> tuple[DamageRow, ...]:
         """Rows of the places that changed, the largest share first."""
+        # by the size of the relative change
         found = [row for row in self.rows if row.named]
         return tuple(sorted(found, key=lambda row: -abs(row.percent if row.nominal else 0.0)))
 
@@ -225,6 +233,7 @@ class DamageMap(Result):
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The named changes as effects, to go on with in `refine` or `compare`."""
+        # the estimates as starting values
         return tuple(Effect(row.kind, row.place, start={row.kind: row.change}) for row in self.named)
 
     def row(self, place: str, kind: str = Stiffness.name) -> DamageRow:
@@ -246,6 +255,7 @@ class DamageMap(Result):
         ModelError
             If there is none.
         """
+        # by kind and place, or by the name of the parameter
         as_text(place, "place")
         as_text(kind, "kind")
         for row in self.rows:

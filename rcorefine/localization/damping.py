@@ -41,13 +41,16 @@ def square_root(X: NDArray[Any]) -> NDArray[Any]:
     >>> bool(np.allclose(square_root(np.array([[4.0, 1.0], [0.0, 9.0]])), [[2.0, 0.2], [0.0, 3.0]]))
     True
     """
+    # real matrix with real roots: by eigenvalues, faster
     if not np.iscomplexobj(X):
         values, vectors = np.linalg.eig(X)
         root = (vectors * np.sqrt(values.astype(complex))) @ np.linalg.inv(vectors)
         if np.abs(root.imag).max() <= 1e-9 * np.abs(root.real).max():
             return np.asarray(root.real)
+    # scale the eigenvalues to about one, for fast convergence
     scale = float(np.abs(np.trace(X.real))) / X.shape[0] or 1.0
     Y, Z = X / scale, np.eye(X.shape[0], dtype=X.dtype)
+    # Denman and Beavers: Y -> X^(1/2), Z -> X^(-1/2)
     for _ in range(_ITERATIONS):
         previous = Y
         Y, Z = 0.5 * (Y + np.linalg.inv(Z)), 0.5 * (Z + np.linalg.inv(Y))
@@ -71,6 +74,7 @@ def mechanical_pairs(model: PhysicalModel) -> tuple[NDArray[np.int64], NDArray[n
     """
     A = model.linear.A
     pairs = []
+    # rows of A with a single 1 off the diagonal: x1' = x2
     for i, row in enumerate(A):
         nonzero = np.flatnonzero(row)
         if nonzero.size == 1 and nonzero[0] != i and row[nonzero[0]] == 1.0:
@@ -118,6 +122,7 @@ class RatioStructure(Structure):
         # the two numbers belong to an effect that does nothing
         carrier = Effect(ConstantForce.name, carriers[0], fixed={"force": 0.0}, name=RATIO_NAMES[0])
         super().__init__(model, [*effects, carrier], constants=constants)
+        # block of stiffness over mass, and block of damping over mass
         self._rows = velocities
         self._stiff = np.ix_(velocities, displacements)
         self._damp = np.ix_(velocities, velocities)
@@ -128,13 +133,16 @@ class RatioStructure(Structure):
             raise ModelError(
                 "damping='ratio': the model has no damping to scale; give it some or use 'links'"
             )
+        # positive definite: no rigid-body motion
         X = -base[self._stiff]
         if np.min(np.linalg.eigvals(X).real) <= 1e-12 * np.abs(X).max():
             raise ModelError(
                 "damping='ratio': the model moves freely as a rigid body, so its damping ratios are not "
                 "defined; use damping='links' or 'fixed'"
             )
+        # D0 X0^(-1/2): damping per root of stiffness over mass
         self._ratio: Array = self._nominal @ np.linalg.inv(square_root(X))
+        # two more parameters: factor of the damping, and the share that follows the stiffness
         index = len(self.effects) - 1
         self.ratio_columns = (len(self.parameters), len(self.parameters) + 1)
         self.parameters.append(Parameter(index, "ratio", RATIO_NAMES[0], -0.999, np.inf))
@@ -154,6 +162,7 @@ class RatioStructure(Structure):
         """
         if not hasattr(self, "ratio_columns"):
             return A
+        # D = (1 + s) [(1 - f) D0 + f D0 X0^(-1/2) X^(1/2)]
         scale, follows = (theta[column] for column in self.ratio_columns)
         with np.errstate(all="ignore"):  # a trial point without stiffness gives nan, which the search rejects
             try:

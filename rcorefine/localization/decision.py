@@ -56,6 +56,7 @@ def decide(joint: Joint, candidates: list[DamageCandidate], significance: float)
     -------
     Decision
     """
+    # backward elimination, then additions, then swaps
     chosen = _Selection(joint, candidates, significance)
     if len(chosen.kept) > 1 and joint.sparser(chosen.active, chosen.where):
         chosen = _Selection(joint, candidates, significance)  # the same response with fewer changes
@@ -64,16 +65,19 @@ def decide(joint: Joint, candidates: list[DamageCandidate], significance: float)
     rivals = chosen.swap()
     joint.fit(chosen.active, reweigh=True)
 
+    # joint estimate with every candidate free, for the table
     final = joint.point
     joint.point = chosen.dense
     every = np.ones_like(chosen.active)
     joint.fit(every)
     estimate, spread, covariance = chosen.estimates(range(len(candidates)), every)
     size = np.array([abs(c.nominal) for c in candidates])
+    # collinear: candidates whose joint deviation hides any change
     groups = _collinear_groups(joint, chosen.where, spread > levels().blurred * size)
     joint.point = final
     joint.fit(chosen.active)
 
+    # named ones as fitted; each other one in addition to them
     values, spreads, _ = chosen.estimates(chosen.kept, chosen.active)
     own = dict(zip(chosen.kept, zip(values, spreads, strict=True), strict=True))
     found = [own[i] if i in own else chosen.beside(i) for i in range(len(candidates))]
@@ -111,11 +115,13 @@ class _Selection:
 
     def p_values(self, value: Array, std: Array, which: Sequence[int]) -> Array:
         """Return two-sided p-values of changes, with tolerances allowed for."""
+        # tolerance of the nominal value adds to the deviation
         total = np.hypot(std, self.tolerated[list(which)])
         return np.asarray(2.0 * norm.sf(np.abs(_deviate(value, total))))
 
     def estimates(self, which: Sequence[int], active: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
         """Value, standard deviation and covariance of active candidates."""
+        # covariance with colored residuals, of the active columns
         where, columns = self.where[list(which)], self.joint.columns(active)
         covariance = self.joint.information().covariance(columns)
         rows = np.searchsorted(columns, where)
@@ -127,6 +133,7 @@ class _Selection:
 
         The value and its standard deviation come from one Gauss-Newton step.
         """
+        # one more column than are fitted
         wider = self.active.copy()
         wider[self.where[i]] = True
         columns = self.joint.columns(wider)
@@ -148,6 +155,7 @@ class _Selection:
         inverse, _, _ = pseudo_inverse(normal[np.ix_(columns, columns)])
         point[columns] -= inverse @ normal[columns, column] * step
         point[column] = plain[column] = 0.0
+        # start from the better of both guesses
         guesses = [joint.problem.inside(guess) for guess in (point, plain)]
         joint.point = min(guesses, key=joint.problem.cost)
         joint.fit(self.active)
@@ -158,10 +166,12 @@ class _Selection:
             left = [i for i in range(self.where.size) if i not in self.kept]
             if not left:
                 return
+            # candidates outside by one Gauss-Newton step each
             value, std = np.array([self.beside(i) for i in left]).T
             p = self.p_values(value, std, left)
             p = np.where(np.abs(value) < self.floor[left], 1.0, p)
             best = int(np.argmin(p))
+            # Bonferroni over the candidates outside
             if p[best] > self.significance / len(left):
                 return
             self.kept.append(left[best])
@@ -175,19 +185,23 @@ class _Selection:
         """
         joint, where, kept = self.joint, self.where, self.kept
         rivals: dict[int, list[int]] = {}
+        # swap until no exchange improves the fit
         for _ in range(where.size):
-            similar = np.abs(_projected(joint, where))
+            # correlation of columns: a swap of dissimilar columns cannot help
+            similar = np.abs(_projected_information(joint, where))
             value, std, _ = self.estimates(kept, self.active)
             apart = dict(zip(kept, np.abs(_deviate(value, std)), strict=True))
             rivals = {i: [] for i in kept}
+            # cost in units of the noise variance: differences are log-likelihood ratios
             level = joint.fit(self.active)
             scale = 2.0 * level / joint.problem.n_points
             reference, better = joint.point.copy(), None
             for i, j in product(kept, range(where.size)):
                 if j in kept or apart[i] * np.sqrt(max(1 - similar[i, j] ** 2, 0.0)) > _APART:
                     continue
-                cost = self._exchanged(i, j)
+                cost = self._swap_cost(i, j)
                 gain = 2.0 * (level - cost) / scale
+                # alternative: the log-likelihood is less by no more than `rival`
                 if gain > -levels().rival:
                     rivals[i].append(j)
                 if gain > 1e-6 and (better is None or gain > better[0]):
@@ -204,10 +218,11 @@ class _Selection:
             kept.append(j)
         return rivals
 
-    def _exchanged(self, i: int, j: int) -> float:
+    def _swap_cost(self, i: int, j: int) -> float:
         """Cost with one candidate in the place of another."""
         joint, (a, b), trial = self.joint, self.where[[i, j]], self.active.copy()
         trial[a], trial[b] = False, True
+        # same effect on the outputs: scale by the ratio of the column norms
         normal = joint.information().normal
         ratio = np.sqrt(normal[a, a] / max(normal[b, b], 1e-300))
         point = joint.point.copy()
@@ -223,11 +238,12 @@ def _deviate(value: Array, std: Array) -> Array:
 _MEMBER = 0.3  # share of such a direction above which a candidate belongs to it
 
 
-def _projected(joint: Joint, where: NDArray[np.int64]) -> Array:
+def _projected_information(joint: Joint, where: NDArray[np.int64]) -> Array:
     """Return the normalized information matrix of the candidates.
 
     Offsets, damping ratio and initial states are projected out.
     """
+    # Schur complement: information with all other columns projected out
     normal = joint.information().normal
     rest = np.setdiff1d(np.arange(normal.shape[0]), where)
     inner = normal[np.ix_(where, where)]
@@ -237,6 +253,7 @@ def _projected(joint: Joint, where: NDArray[np.int64]) -> Array:
         inner = inner - cross.T @ inverse @ cross
     size = np.sqrt(np.maximum(np.diag(inner), 0.0))
     size[size <= 1e-9 * np.sqrt(np.diag(normal)[where])] = np.inf
+    # correlation matrix; a column without effect gets a zero row
     unit = inner / np.outer(size, size)
     np.fill_diagonal(unit, np.where(np.isfinite(size), 1.0, 0.0))
     return np.asarray(unit)
@@ -249,8 +266,9 @@ def _collinear_groups(
 
     Those count that the joint estimate leaves too unsure (`blurred`) to matter on their own.
     """
-    unit = _projected(joint, where)
+    unit = _projected_information(joint, where)
     seen = np.flatnonzero(np.diag(unit) > 0)
+    # eigenvalues near zero: combinations that the data do not see
     values, vectors = np.linalg.eigh(unit[np.ix_(seen, seen)])
     owner = list(range(where.size))
     for value, vector in zip(values, vectors.T, strict=True):
@@ -260,6 +278,7 @@ def _collinear_groups(
         members = [i for i in members if blurred[i]]
         if len(members) < 2:
             continue
+        # join groups that share a member
         target = min(owner[i] for i in members)
         merged = {owner[i] for i in members}
         owner = [target if group in merged else group for group in owner]

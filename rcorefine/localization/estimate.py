@@ -36,7 +36,7 @@ _WIDTHS = (4.0, 1.5)  # of the smoothing along the frequencies, wide to narrow
 _SINGLE = (-0.2, -0.4, -0.6, -0.75, -0.9)
 _DOUBLE = (-0.35, -0.7)
 _MOST_PAIRS = 600
-_BEST = 6  # of the grid are descended from
+_BEST = 6  # points of the grid from which the descent starts
 _BEAM = 5  # sets of each size that grow on
 _LEAST_COHERENCE = 0.4  # of noise, in 99 of 100 frequencies: the record makes about ten averages
 
@@ -48,6 +48,7 @@ class _Spectrum:
     """
 
     def __init__(self, structure: Structure, theta: Array, record: Measurement) -> None:
+        # columns: stiffnesses with a nominal value
         nominal = {(q.kind, q.place): q.value for q in structure.model.parameters}
         effects = [structure.effects[parameter.effect] for parameter in structure.parameters]
         sizes = np.array([nominal.get((e.kind, e.place), 0.0) * (e.kind == Stiffness.name) for e in effects])
@@ -56,8 +57,10 @@ class _Spectrum:
         self.sizes = sizes[self.columns]
         if not self.columns.size or not structure.is_linear:
             raise DataError("only a linear model with stiffnesses can be compared by its spectrum")
+        # frequency response of the record by Welch's method, six segments
         measured = record.frequency_response(segment_length=max(record.n_samples // 6, 16))
         assert measured.coherence is not None  # it comes from a record
+        # below the Nyquist frequency with a margin, and coherent
         usable = np.flatnonzero(
             (measured.omega < 0.6 * np.pi / record.dt) & (measured.coherence.max(axis=0) > _LEAST_COHERENCE)
         )
@@ -67,12 +70,14 @@ class _Spectrum:
         if usable.size < 4 * self.columns.size:
             raise DataError("the spectrum has too few points for so many stiffnesses")
         self.omega = measured.omega[usable]
+        # log magnitudes, weighted by the root of the coherence, (n_y, n_w, K)
         self.log = np.log(np.abs(measured.response[:, :, usable]) + 1e-300)
         self.weight = np.sqrt(np.clip(measured.coherence[:, usable], 0.0, 0.999))[:, None, :]
 
     def moved(self, scaled: Array) -> Array:
         """Coefficients at the stiffness ``nominal * exp(scaled)``."""
         theta = self.theta.copy()
+        # log scale: stiffness stays positive, zero is no change
         theta[self.columns] = self.sizes * np.expm1(scaled)
         return theta
 
@@ -86,10 +91,12 @@ class _Spectrum:
             drive = np.linalg.solve(right, matrices.B[:, :nw].astype(complex))
         except np.linalg.LinAlgError:
             return np.full(self.log.size, 12.0)
+        # G = C V (jw - Lambda)^-1 V^-1 B + D
         gains = np.einsum(
             "ym,mw,mk->ywk", matrices.C @ right, drive, 1.0 / (1j * self.omega - poles[:, None])
         )
         level = np.log(np.abs(gains + matrices.D[:, :nw, None]) + 1e-300)
+        # clipped difference of log magnitudes, smoothed so that shifted resonances still overlap
         difference = self.weight * np.clip(level - self.log, -12.0, 12.0)
         smooth = gaussian_filter1d(difference, width, axis=2, mode="nearest")
         return np.asarray(smooth).ravel()
@@ -98,7 +105,7 @@ class _Spectrum:
         """Sum of squares of the widest smoothing."""
         return float(np.sum(self.misfit(scaled, _WIDTHS[0]) ** 2))
 
-    def descended(self, scaled: Array, members: Sequence[int], evaluations: int) -> tuple[float, Array]:
+    def minimize(self, scaled: Array, members: Sequence[int], evaluations: int) -> tuple[float, Array]:
         """Return cost and point of a descent with less and less smoothing."""
         free, point, cost = list(members), scaled.copy(), np.inf
 
@@ -106,6 +113,7 @@ class _Spectrum:
             point[free] = part
             return self.misfit(point, width)
 
+        # wide smoothing first, for a wide region of attraction
         for width in _WIDTHS:
             found = least_squares(
                 misfit, point[free], args=(width,), bounds=(-6.0, 3.0), max_nfev=evaluations, x_scale=0.3
@@ -148,12 +156,15 @@ def spectral_starts(structure: Structure, theta: Array, record: Measurement, mos
     except DataError:
         return []
     n = spectrum.columns.size
+    # grid: no change, one loss of 20 to 90 %, two losses of 35 or 70 %
     grid = [np.zeros(n), *(_losses(n, [i], [loss]) for i, loss in product(range(n), _SINGLE))]
     pairs = list(combinations(range(n), 2))[: _MOST_PAIRS // len(_DOUBLE) ** 2]
     grid += [_losses(n, pair, losses) for pair, losses in product(pairs, product(_DOUBLE, repeat=2))]
+    # descend from the best six of the grid
     levels = [spectrum.level(u) for u in grid]
-    reached = [spectrum.descended(grid[k], range(n), 15) for k in np.argsort(levels)[:_BEST]]
+    reached = [spectrum.minimize(grid[k], range(n), 15) for k in np.argsort(levels)[:_BEST]]
     kept: list[Array] = []
+    # different minima only, the best first
     for _, u in sorted(reached, key=lambda pair: pair[0]):
         if len(kept) < most and all(np.abs(u - other).max() > 0.02 for other in kept):
             kept.append(u)
@@ -193,16 +204,19 @@ def sparse_starts(
         return []
     n = spectrum.columns.size
     found: list[tuple[tuple[int, ...], Array]] = []
+    # beam search over sets of changed stiffnesses
     beam: list[tuple[float, tuple[int, ...], Array]] = [(np.inf, (), np.zeros(n))]
     for _ in range(min(largest, n)):
         wider: dict[tuple[int, ...], tuple[float, tuple[int, ...], Array]] = {}
+        # add one stiffness to each set, started at the best of three losses
         for (_, members, u), i in product(beam, range(n)):
             if i not in members:
                 group = tuple(sorted((*members, i)))
                 start = min((u + _losses(n, [i], [loss]) for loss in (0.0, *_DOUBLE)), key=spectrum.level)
-                level, reached = spectrum.descended(start, group, 8)
+                level, reached = spectrum.minimize(start, group, 8)
                 if group not in wider or level < wider[group][0]:
                     wider[group] = level, group, reached
+        # keep the best five sets of this size
         beam = sorted(wider.values(), key=lambda entry: entry[0])[:_BEAM]
         for _, members, u in beam[:most]:
             found.append((tuple(int(spectrum.columns[i]) for i in members), spectrum.moved(u)))
@@ -213,7 +227,7 @@ _WHITE = 0.6  # innovation over residual power above which a free run has found 
 _MOST_EVALUATIONS, _FEW_EVALUATIONS = 40, 12
 _HOPELESS = 4.0  # times the present cost, above which fewer changes are not followed further
 # until a thousandth of a standard deviation is left
-_lowered = partial(descend, tolerance=0.0, unnoticed=5e-7)
+_minimize = partial(descend, tolerance=0.0, unnoticed=5e-7)
 
 
 class Information(NamedTuple):
@@ -228,11 +242,13 @@ class Information(NamedTuple):
 
         It is infinite where the record holds no information.
         """
+        # sandwich covariance N^-1 M N^-1 for colored residuals
         block = np.ix_(columns, columns)
         return covariance(self.normal[block], self.middle[block])
 
     def step(self, columns: NDArray[np.int64]) -> Array:
         """Gauss-Newton step in these columns."""
+        # -N^+ g
         inverse, _, _ = pseudo_inverse(self.normal[np.ix_(columns, columns)])
         return np.asarray(-inverse @ self.gradient[columns])
 
@@ -288,8 +304,10 @@ class Joint:
         bool
             Whether the point has moved to fewer changes.
         """
+        # reference: cost and size of the present set
         reference, cost, size = self.point.copy(), self.fit(active), int(active[candidates].sum())
         scale, start = 2.0 * cost / self.problem.n_points, self.structure.start()
+        # sets in order of size: fit briefly, then fully where the cost is comparable
         for members, theta in sparse_starts(self.structure, start, self.records[0], size - 1):
             few = active.copy()
             few[candidates] = False
@@ -297,6 +315,7 @@ class Joint:
             self.point = self.problem.pack(theta, starting_states(self.problem, theta))
             if self.fit(few, evaluations=_FEW_EVALUATIONS) > _HOPELESS * cost:
                 continue
+            # Schwarz's penalty decides between fewer changes and a better fit
             price = (size - len(members)) * np.log(self.problem.n_points)
             if 2.0 * (self.fit(few) - cost) / scale < price:
                 active[:] = few
@@ -324,9 +343,10 @@ class Joint:
             Cost, half the weighted sum of squares.
         """
         again = reweigh and self.noise is None
+        # iteratively reweighted: weights of the outputs from their residuals
         for _ in range(3 if again else 1):
             free = _moving(self.problem, active)
-            found = _lowered(self.problem, self.point, free=free, evaluations=evaluations)
+            found = _minimize(self.problem, self.point, free=free, evaluations=evaluations)
             self.point, self.converged, self._information = found.point, found.converged, None
             if again:
                 before = self.problem.weights
@@ -342,6 +362,7 @@ class Joint:
         It covers every coefficient.
         """
         if self._information is None:
+            # residual and sensitivities of each record; weak priors hold no information
             residuals, slopes, columns = zip(*self.problem.own_blocks(self.point), strict=True)
             precision = self.problem.precision
             precision[: self.weak.size][self.weak] = 0.0
@@ -397,14 +418,17 @@ def best_fit(fit: Callable[[], Fit], motion: Motion) -> Fit:
     """
     found = fit()
     found.run(motion, None)
+    # a white residual means that the fit has found its minimum
     residual = np.concatenate([r for r, _, _ in found.problem.own_blocks(found.result.point)], axis=1)
     powers = [(float(np.mean(row**2)), row) for row in residual]
+    # innovation variance over residual power, the smallest of all outputs
     whitest = min([1.0, *(autoregression(row)[1] / power for power, row in powers if power > 0)])
     if whitest > _WHITE or not found.structure.is_linear:
         return found
+    # otherwise start from the frequency response, too
     starts = spectral_starts(found.structure, found.structure.start(), found.segments[0])
     if not starts:
         return found
     other = fit()
     other.run(motion, None, starts=starts)
-    return min(found, other, key=lambda one: one.cost)
+    return min(found, other, key=lambda fit: fit.cost)

@@ -74,6 +74,7 @@ def assessed(
     note: str,
 ) -> DamageMap:
     """The map of a decision."""
+    # residual of the final fit
     residual = joint.residual
     return DamageMap(
         name=joint.structure.linear_model.name,
@@ -102,10 +103,12 @@ def _rows(
     candidates: Sequence[DamageCandidate], decision: Decision, significance: float, power: float
 ) -> tuple[DamageRow, ...]:
     """Changes with their intervals, and what the record would have shown."""
+    # detection limit: level of the significance plus quantile of the power, times the deviation
     left = max(len(candidates) - len(decision.named), 1)
     reach = norm.isf(significance / (2 * left)) + norm.ppf(power)
     rows = []
     for i, c in enumerate(candidates):
+        # percent of the nominal value
         share = 100.0 / c.nominal if c.nominal else np.nan
         limit = float(max(reach * np.hypot(decision.std[i], c.tolerated), c.floor))
         rivals = tuple(candidates[j].label for j in decision.rivals.get(i, ()))
@@ -120,6 +123,7 @@ def _rows(
 def _damaged_model(joint: Joint) -> LinearModel:
     """The model with the changes that are named."""
     structure = joint.structure
+    # matrices at the estimate: the damaged structure
     matrices = structure.matrices(joint.theta.astype(float))
     nw = structure.n_inputs
     return structure.linear_model.with_arrays(
@@ -132,6 +136,7 @@ def _message(
     joint: Joint, decision: Decision, tests: tuple[FTest, ...], significance: float, note: str
 ) -> str:
     explained = "" if tests else _UNTESTED
+    # the worst residual test, if the tests fail
     if tests and overall(tests) < significance:
         worst = min((test for test in tests if test.dof), key=lambda test: test.p_value)
         explained = _UNEXPLAINED.format(test=failed_test(worst))
@@ -146,6 +151,7 @@ def _message(
 def _nuisance_rows(joint: Joint, candidates: Sequence[DamageCandidate]) -> tuple[NuisanceRow, ...]:
     structure = joint.structure
     taken = [c.column for c in candidates]
+    # nuisances are estimated beside the candidates that changed
     active = np.ones(structure.n_parameters, dtype=bool)
     active[taken] = joint.theta[taken] != 0
     columns, spread = joint.columns(active), joint.spread(active)
@@ -155,6 +161,7 @@ def _nuisance_rows(joint: Joint, candidates: Sequence[DamageCandidate]) -> tuple
             continue
         std = float(spread[int(np.flatnonzero(columns == i)[0])])
         value = float(joint.theta[i])
+        # damping ratio and its share, then gains, offsets and linear parameters
         if parameter.label == RATIO_NAMES[0]:
             rows.append(NuisanceRow("damping relative to the model", 1.0 + value, std, ""))
         elif parameter.label == RATIO_NAMES[1]:
@@ -275,18 +282,22 @@ def localize_damage(
         as_choice(damping, "damping", _RULES)
     significance, power = as_share(significance, "significance"), as_share(power, "power")
     least = as_number(least, "least (in percent)", least=0.0)
+    # undamaged structure, with the effects of a refinement fixed
     physical, base = _baseline(model)
     nominal = nominal_values(model, physical)
+    # damping rule, then the candidates that go with it
     rule = damping or default_rule(physical, nominal)
     effects = candidate_effects(physical, candidates, rule)
-    records, said = as_records(data), ""
+    # a sensor that failed is left out and reported
+    records, sensor_note = as_records(data), ""
     watched = without_dead_sensors(model, records)
     if watched is not None:
-        noise, said = watched.noise(noise), " ".join(watched.said)
+        noise, sensor_note = watched.noise(noise), " ".join(watched.said)
         records = [watched.record(record) for record in records]
         physical, base = _baseline(watched.model)
-        warn(said, ExcitationWarning)
+        warn(sensor_note, ExcitationWarning)
     initial = as_state(x0, physical.linear.n_states)
+    # scenarios are checked before the long part
     scenarios = None if hypotheses is None else named_hypotheses(hypotheses)
     check_settings(
         physical,
@@ -296,6 +307,7 @@ def localize_damage(
         horizon=horizon,
         known_start=initial is not None,
     )
+    # channels in the order of the model, all excited
     records = [ordered_record(physical, r) for r in records]
     for record in records:
         check_channels(physical.linear, record)
@@ -304,19 +316,24 @@ def localize_damage(
             if np.ptp(y) == 0:
                 raise DataError(f"output {label!r} of record {record.name!r} never changes; check the sensor")
     with own_arithmetic():
+        # long records are cut into segments with their own initial states
         segments, note = windows(physical, records, horizon)
         motion = estimated_motion(Structure(physical, base), np.zeros(0), records[0])
+        # offsets, sensor gains and linear parameters are estimated with the changes
         nuisances = _nuisances(physical, base, effects, rule, tolerance, offset, records[0])
         setting = SharedSetting(
             physical, base, nuisances, tolerance, rule == "ratio", tuple(segments),
             noise, initial, motion, nominal,
         )  # fmt: skip
+        # joint estimate of all candidates, then elimination
         joint = setting.joint(effects)
         rows = as_candidates(joint.structure, effects, nominal, tolerance, least)
         decision = decide(joint, rows, significance)
+        # damage scenarios, ranked by BIC
         ranking = () if scenarios is None else rank_hypotheses(setting, scenarios)
+        # does anything remain in the residual?
         tests = residual_tests(joint)
-        note = " ".join(filter(None, [said, note]))
+        note = " ".join(filter(None, [sensor_note, note]))
         result = assessed(joint, rows, decision, tests, rule, significance, power, ranking, note)
     for group in result.groups:
         warn(f"the record cannot distinguish these changes: {', '.join(group)}", IdentifiabilityWarning)
@@ -335,6 +352,7 @@ def _baseline(model: Any) -> tuple[PhysicalModel, tuple[Effect, ...]]:
     held = []
     for index, effect in enumerate(structure.effects):
         if model.roles[index] == "offset":
+            # an offset belongs to one record, a coefficient to the structure
             continue  # of that record, not of the structure
         values = {name: float(structure.value(theta, index, name)) for name in effect.coefficients}
         constants = {"width": structure.constants[index]} if index in structure.constants else {}
@@ -355,6 +373,7 @@ def _nuisances(
 
     These are offsets, sensor gains and linear parameters, estimated together with the changes.
     """
+    # linear parameters within the tolerance; the damping ratio replaces the dampers
     chosen = assemble(physical, [], effects, (), tolerance, offset_variants(physical, record, offset)[-1])
     nuisances = [
         (e, role)
@@ -362,6 +381,7 @@ def _nuisances(
         if not (role == "linear" and e.kind == Damping.name and rule == "ratio")
     ]
     held = {(e.kind, e.place) for e in base}
+    # gain of each sensor, known to 10 %
     for label in physical.linear.output_labels:
         if (OutputGain.name, label) not in held:
             nuisances.append((Effect(OutputGain.name, label, prior={"gain": _CALIBRATION}), "effect"))
@@ -384,8 +404,10 @@ def residual_tests(joint: Joint) -> tuple[FTest, ...]:
     All candidates and nuisance parameters are projected out. The result is empty where a record is too short
     to test.
     """
+    # tests need a past for the noise model
     if min(record.n_samples for record in joint.records) < _SHORTEST:
         return ()
+    # the same problem in a plain structure, at the estimate
     physical, effects, theta = _plain(joint.structure, joint.theta)
     structure = Structure(physical, effects, constants=joint.structure.constants)
     old, role = joint.problem, ("effect",) * len(effects)
@@ -393,6 +415,7 @@ def residual_tests(joint: Joint) -> tuple[FTest, ...]:
     problem = old.like(structure, prior_mean=mean, prior_sd=sd, hold_brief=True)
     held = _Held(physical, effects, dict(structure.constants), role, old.substeps)
     starts = joint.problem.unpack(joint.point)[1]
+    # project out all parameters, then test against the library of effects
     fitted = FittedModel(cast(Any, held), problem, problem.pack(theta, starts), 0.0)
     motions = [Motion(structure, theta, record) for record in joint.records]
     motions[0].companions = motions[1:]
@@ -410,6 +433,7 @@ def _plain(structure: Structure, theta: Array) -> tuple[PhysicalModel, tuple[Eff
     """
     if not isinstance(structure, RatioStructure):
         return structure.model, tuple(structure.effects), theta
+    # damping rule: freeze the damping that it gave in the state matrix
     laws = [structure.effects[q.effect].spec for q in structure.parameters]
     masses = [law.inertial for law in laws]
     changes = [law.is_element and not law.inertial for law in laws]

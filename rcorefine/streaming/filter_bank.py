@@ -104,15 +104,17 @@ class FilterBank:
         self.filters = {name: CoefficientFilter(setup, keep) for name, setup in setups.items()}
         self.filters[INITIAL] = CoefficientFilter(initial, keep)
         self._model = self.filters[INITIAL].discrete_system("initial")
-        self._limit = _allowed(self._model)
+        # growth that a refined model may have, per sample
+        self._limit = _growth_limit(self._model)
         rate = growth(self._model)
+        # an unstable initial model is simulated over short windows, each with a fitted initial state
         self._window = max(int(_WINDOW / rate), 8) if rate > 1e-6 else 0
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples."""
-        for one in self.filters.values():
-            one.reset()
+        for form in self.filters.values():
+            form.reset()
         model = self._model
         self.memory = FilterBankMemory(
             (), np.zeros((0, model.n_inputs)), np.zeros((0, model.n_outputs)),
@@ -134,8 +136,8 @@ class FilterBank:
         """Undo what the forms learned where not all of them could."""
         before = self.memory
         with ExitStack() as forms:
-            for one in self.filters.values():
-                forms.enter_context(one.all_or_nothing())
+            for form in self.filters.values():
+                forms.enter_context(form.all_or_nothing())
             try:
                 yield
             except BaseException:
@@ -150,6 +152,7 @@ class FilterBank:
         position, total = 0, len(block.inputs)
         expected = np.full(block.outputs.shape if predict else (0, 0), np.nan)
         while position < total:
+            # up to the end of the present stretch: the milestones, then every 2,048 samples
             last = (self.n_samples // _LONGEST + 1) * _LONGEST
             end = next((end for end in MILESTONES if end > self.n_samples), last)  # of the present stretch
             size = min(total - position, end - self.n_samples)
@@ -171,7 +174,7 @@ class FilterBank:
             )
             position += size
             if self.n_samples in MILESTONES or self.n_samples % _LONGEST == 0:
-                self._turn()
+                self._end_stretch()
         return expected
 
     def _learn(self, name: str, block: Block, predict: bool) -> Array | None:
@@ -185,14 +188,15 @@ class FilterBank:
     def _stop(self, name: str, why: str) -> None:
         self.memory = replace(self.memory, stopped={**self.memory.stopped, name: why})
 
-    def _turn(self) -> None:
+    def _end_stretch(self) -> None:
         """Judge the forms at the end of a stretch and prepare the next one.
 
         Forms that predict poorly are dropped, and the present models are frozen.
         """
         memory = self.memory
+        # score the models frozen before this stretch on its samples, which they have not seen
         if memory.frozen:
-            chosen, scores = self._judged()
+            chosen, scores = self._compare_forms()
             best = min(scores.values())
             behind = {name: 0 for name in self.running}
             for name in self.running:
@@ -205,12 +209,14 @@ class FilterBank:
             for name, times in behind.items():
                 if times >= 2:
                     self._stop(name, f"fitted much worse after {self.n_samples} samples")
+        # freeze the present models for the next stretch
         frozen = []
         for name in self.running:
             model = self.filters[name].discrete_system(name)
             if not np.isfinite(model.A).all():
                 self._stop(name, f"had no finite model after {self.n_samples} samples")
                 continue
+            # with poles that grow too fast pulled back; the model as it is takes part, too
             calm = stabilized(model, self._limit)
             frozen.append(Frozen(name, calm, False))
             if calm is not model:
@@ -221,25 +227,28 @@ class FilterBank:
             outputs=self.memory.outputs[empty].copy(), use=self.memory.use[empty].copy(),
         )  # fmt: skip
 
-    def _judged(self) -> tuple[tuple[str, bool], dict[str, float]]:
+    def _compare_forms(self) -> tuple[tuple[str, bool], dict[str, float]]:
         """Which form predicted the present stretch best, and the scores of all."""
         memory = self.memory
+        # weight each output by its standard deviation
         spread = np.ma.filled(np.ma.masked_array(memory.outputs, memory.use == 0).var(axis=0), 0.0)
         weights = 1.0 / np.sqrt(np.where(spread > 0, spread, 1.0))
         stretch = memory.inputs, memory.outputs, memory.use
         calm: dict[str, float] = {}
         wild: dict[str, float] = {}
-        for one in memory.frozen:
-            m = one.model
+        for frozen in memory.frozen:
+            m = frozen.model
             arrays = tuple(map(np.ascontiguousarray, (m.A, m.B, m.C, m.D)))  # compiled for one layout
             score = float(free_run_cost(arrays, *stretch, weights, self._window))
-            (wild if one.raw else calm)[one.name] = score if np.isfinite(score) else np.inf
+            (wild if frozen.raw else calm)[frozen.name] = score if np.isfinite(score) else np.inf
+        # the most physical form within 2 % of the best; the initial model unless a form beats it
         best = min(calm.values())
         name = INITIAL
         if best < calm[INITIAL]:
             name = next(key for key, score in calm.items() if score <= _ALIKE * best)
         scores = dict(calm)
         scores.update({key + _WILD: score for key, score in wild.items()})
+        # an unstable model only if it halves the mean square error
         unstable = min(wild, key=lambda key: wild[key], default=None)
         if unstable is not None and wild[unstable] < _CLEARLY * calm[name]:
             return (unstable, True), scores
@@ -253,9 +262,10 @@ class FilterBank:
 
         The present stretch decides if it is long enough.
         """
+        # the present stretch decides once it has a quarter of its length
         memory = self.memory
         if memory.frozen and len(memory.inputs) >= max(memory.length, _FIRST) // 4:
-            return self._judged()[0]
+            return self._compare_forms()[0]
         return memory.chosen
 
     waits = True  # single samples wait for one another: many forms learn from them
@@ -326,7 +336,7 @@ class FilterBank:
 
     def state(self) -> dict[str, Any]:
         """All that is remembered, for a file."""
-        parts = {name: one.state() for name, one in self.filters.items()}
+        parts = {name: form.state() for name, form in self.filters.items()}
         return {"race": self.memory, "filters": parts}
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -337,14 +347,15 @@ class FilterBank:
         memory, names = state["race"], set(self.filters)
         bare = replace(memory, frozen=(), scores={}, behind={}, stopped={})
         check_like(bare, self.memory, "race", dict.fromkeys(("inputs", "outputs", "use"), "samples"))
-        for one in memory.frozen:
-            check_like(one, Frozen("", self._model, False), "race.frozen")
+        for frozen in memory.frozen:
+            check_like(frozen, Frozen("", self._model, False), "race.frozen")
         for part, fresh in ((memory.scores, np.inf), (memory.behind, 0), (memory.stopped, "")):
             check_like(part, dict.fromkeys(part, fresh), "race")
         scored = {name.removesuffix(_WILD) for name in memory.scores}
-        judged = {one.name for one in memory.frozen}
+        judged = {frozen.name for frozen in memory.frozen}
         told_of = {memory.chosen[0], *scored, *judged, *memory.behind, *memory.stopped}
-        calm = not judged or INITIAL in {one.name for one in memory.frozen if not one.raw}
+        calm = not judged or INITIAL in {frozen.name for frozen in memory.frozen if not frozen.raw}
+        # a comparison without the initial model could not choose it
         if not (names >= told_of and set(state["filters"]) == names and calm):
             raise DataError(
                 f"the saved comparison is of other forms than {', '.join(names)}: the file is damaged"
@@ -354,7 +365,7 @@ class FilterBank:
         self.memory = memory
 
 
-def _allowed(initial: LinearModel) -> float:
+def _growth_limit(initial: LinearModel) -> float:
     """Return the growth rate that a refined model may have.
 
     No growth is allowed if the initial model is stable.
@@ -390,15 +401,18 @@ def free_run_cost(
     start = np.eye(n, n + 1, 1)  # the run from rest, then the response to each entry of the state
     for a in range(0, N, window or N):
         b = min(a + (window or N), N)
+        # simulate from rest and from each unit initial state at once
         pushes = np.zeros((n, b - a - 1, n + 1))
         with np.errstate(all="ignore"):  # a model that blows up costs an infinity
             pushes[:, :, 0] = B @ W[a : b - 1].T
+            # outputs of both, weighted by use and size
             states = np.concatenate([start[:, None], recursion(A, start, pushes)], axis=1)
             seen = np.tensordot(C, states, 1)
             scale = (use[a:b] * weights).T
             error = np.where(use[a:b], Y[a:b], 0.0).T - seen[:, :, 0] - D @ W[a:b].T
             error, columns = (scale * error).ravel(), scale[:, :, None] * seen[:, :, 1:]
             columns = columns.reshape(error.size, n)
+            # normal equations for the initial state
             H, g, square = columns.T @ columns, columns.T @ error, float(error @ error)
         if not (np.isfinite(H).all() and np.isfinite(square)):
             return np.inf

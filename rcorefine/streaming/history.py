@@ -82,6 +82,7 @@ class History:
         if self.timepts[part].size == 0:
             none = np.full(self.y.shape[0], np.nan)
             return none, none.copy()
+        # relative to the rms of the measured output; an output that is zero has no ratio
         size = np.sqrt(np.mean(self.y[:, part] ** 2, axis=1))
         size[size == 0.0] = np.nan
         first, second = (np.sqrt(np.mean(z[:, part] ** 2, axis=1)) / size for z in (self.z1, self.z2))
@@ -110,6 +111,7 @@ class History:
 
 def pole_samples(n_samples: int) -> NDArray[np.int64]:
     """Samples at which the poles are given."""
+    # at most 200 samples, evenly spread
     return np.unique(np.linspace(0, max(n_samples - 1, 0), min(n_samples, _POINTS)).astype(np.int64))
 
 
@@ -123,10 +125,13 @@ def poles_of(models: Sequence[LinearModel], dt: float | None) -> NDArray[np.comp
         poles = np.full(len(model.A), complex(np.nan, np.nan))
         if np.isfinite(model.A).all():
             poles = np.linalg.eigvals(model.A).astype(complex)
+        # s = ln(z) / dt
         if not model.is_continuous:
             with np.errstate(divide="ignore"):
                 poles = np.log(poles) / (1.0 if dt is None else dt)
+        # by frequency at first, then in the order of the poles before
         poles = poles[np.lexsort((poles.imag, np.abs(poles)))]
+        # assignment problem: the smallest total distance in the complex plane
         if found and poles.size and np.isfinite(poles).all() and np.isfinite(found[-1]).all():
             rows, columns = linear_sum_assignment(np.abs(found[-1][:, None] - poles[None, :]))
             poles = poles[columns[np.argsort(rows)]]
@@ -217,4 +222,5 @@ def joined(blocks: Sequence[Array], shape: tuple[int, ...]) -> Array:
     """Join blocks of samples of this shape, time last."""
     if not blocks:
         return np.zeros((*shape, 0))
+    # samples first in the blocks, last in the history
     return np.ascontiguousarray(np.moveaxis(np.concatenate(blocks), 0, -1))

@@ -97,6 +97,7 @@ class JointStages:
 
     def take(self, block: Block, *, keep_sound: bool = False) -> None:
         """Learn from a block: all of it or nothing."""
+        # a block is learned at once; single samples wait where several forms would learn from each
         if len(block.inputs) > 1:
             self._flush()
             self._learn(block)
@@ -104,24 +105,26 @@ class JointStages:
             if len(self._waiting) >= _PENDING:
                 self._flush()
             self._waiting.append(block)
-        elif not self._one(block):
+        elif not self._take_single(block):
             self._learn(block)
 
-    def _one(self, block: Block) -> bool:
+    def _take_single(self, block: Block) -> bool:
         """Learn from a single sample by the fast path, if that is available.
 
         Otherwise do nothing and return False.
         """
+        # stage 1 takes single samples in batches of 32
         if len(self._behind) >= _PENDING:
             self._catch_up()
-        if (self._beside and not block.whole) or not self._static.filter.one(block):
+        # a gap needs a prediction for stage 1, so it takes the slow path
+        if (self._runs_stage_one and not block.whole) or not self._static.filter.one(block):
             return False
-        if self._beside:
+        if self._runs_stage_one:
             self._behind.append(block)
         return True
 
     @property
-    def _beside(self) -> bool:
+    def _runs_stage_one(self) -> bool:
         """Return whether stage 1 runs."""
         return self.first is not None and not self.stopped
 
@@ -136,28 +139,31 @@ class JointStages:
         """Stage 1 on the samples that it has not seen."""
         if self._behind:
             block = Block.joined(self._behind)
-            self._run_beside(block, block.outputs)
+            self._run_stage_one(block, block.outputs)
             self._behind = []
 
     def _learn(self, block: Block) -> None:
         self._catch_up()
-        beside = self._beside
+        beside = self._runs_stage_one
+        # both stages or none: an error in one undoes the other
         with self._static.all_or_nothing():
             expected = self._static.take(block, predict=beside and not block.whole)
             if beside:
-                self._run_beside(block, expected)
+                self._run_stage_one(block, expected)
 
-    def _run_beside(self, block: Block, predicted: Array) -> None:
+    def _run_stage_one(self, block: Block, predicted: Array) -> None:
         """Run stage 1 on the same samples.
 
         In a gap it receives the prediction of the static stage.
         """
         assert self.first is not None
         outputs = block.outputs
+        # a missing output: the prediction of the filter, or zero before there is one
         if not block.whole:
             outputs = np.where(block.use > 0, outputs, np.where(np.isfinite(predicted), predicted, 0.0))
         try:
             self.first.take_sound(block.inputs, outputs)
+        # stage 1 may stop; the static stage goes on without it
         except RCOError as error:
             self.stopped = f"Stage 1 stopped: {error}"
 
@@ -170,6 +176,7 @@ class JointStages:
     def system(self, name: str) -> LinearModel:
         """Refined model, continuous where the initial one is."""
         model = self.static.system(name)
+        # d2c of a form that was estimated in discrete time
         if self.model.is_continuous and not model.is_continuous:
             return nearest_continuous(model)
         return model
@@ -208,14 +215,17 @@ class JointStages:
         """Course of both stages."""
         part = self.filter
         setup, lay = part.setup, part.setup.layout
+        # measured outputs as far as the history was kept
         y = joined([y for _, y in part.records], (lay.ny,))
         total = y.shape[1]
         first = None if self.first is None else self.first.history()
 
         def beside(values: Array | None, rows: int) -> Array:
             values = np.zeros((rows, 0)) if values is None else values[:, :total]
+            # NaN after the sample at which stage 1 stopped
             return np.pad(values, ((0, 0), (0, total - values.shape[1])), constant_values=np.nan)
 
+        # coefficients and the poles of the model with them
         theta = joined([r.theta for r, _ in part.records], (lay.p,))
         timepts = np.arange(total, dtype=np.float64) * setup.settings.dt
         at = pole_samples(total)
@@ -271,7 +281,9 @@ def variants(part: CoefficientFilter) -> list[LinearModel]:
     # correlation first: coefficients of unlike size would hide one another
     size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     scale = np.where(size > 0, size, 1.0)
+    # principal directions of the correlation matrix: independent of each other
     values, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
+    # one standard deviation along each, in units of the coefficients
     steps = (directions * np.sqrt(np.maximum(values, 0.0))).T * scale
     return [
         setup.system(part.theta + _SHARE * step, memory.widths, "variant") for step in steps if step.any()
@@ -292,10 +304,12 @@ def response_deviation(center: LinearModel, around: Sequence[LinearModel], omega
     omega : ndarray of shape (K,)
         Frequencies in rad/s.
     """
+    # a discrete model has no response beyond the Nyquist frequency
     seen = np.ones(omega.size, dtype=bool)
     if not center.is_continuous and center.dt is not None and center.dt is not True:
         seen = omega <= np.pi / float(center.dt)
     total = np.full((center.n_outputs, center.n_inputs, omega.size), np.nan)
+    # finite difference along each independent direction; variances add
     reference = frequency_response(center, omega[seen])
     total[:, :, seen] = 0.0
     for model in around:
@@ -326,11 +340,13 @@ def assembled(given: dict[str, Any], sampled: Sampled) -> PaperStages | JointSta
     keep = as_flag(given["history"], "history")
     as_flag(given["use_estimated_states"], "use_estimated_states")
     papers = [name for name in _PAPERS if given[name] is not None]
-    listed = _named(static, given["effects"])
+    # entries or effects by name, or a form of the correction
+    listed = _named_items(static, given["effects"])
     if given["substeps"] is not None:
         as_whole(given["substeps"], "substeps", least=1, error=ModelError)
     n_outputs = sampled.initial.n_outputs
     checked_settings(n_outputs, 1.0, *(given[n] for n in ("hold", "noise", "disturbance", "forgetting")))
+    # settings of the paper select the paper's equations, for both stages
     if listed is None and static == "auto" and papers:
         unused = [
             name
@@ -343,14 +359,16 @@ def assembled(given: dict[str, Any], sampled: Sampled) -> PaperStages | JointSta
                 "name effects=[...] or static=..., or leave one of the two out"
             )
         return _paper(given, sampled, keep)
+    # otherwise a joint Kalman filter: settings of the paper's static stage do not apply
     wrong = [name for name in _STATIC if given[name] is not None]
     if wrong:
         raise ct.ControlArgument(
             f"{wrong[0]} is a setting of the paper's static stage; leave it out, or static= and effects="
         )
     chosen: CoefficientFilter | FilterBank
+    # named coefficients: one filter; a form: filters side by side, with the initial model
     if listed is not None:
-        chosen = CoefficientFilter(_listed(given, sampled, listed), keep)
+        chosen = CoefficientFilter(_named_setup(given, sampled, listed), keep)
     else:
         if given["substeps"] is not None:
             raise ct.ControlArgument("substeps is a setting of nonlinear effects; give effects=[...]")
@@ -358,11 +376,12 @@ def assembled(given: dict[str, Any], sampled: Sampled) -> PaperStages | JointSta
         chosen = FilterBank(
             _forms(static, given, sampled, settings), no_entries(sampled.initial, settings), keep
         )
+    # stage 1 of the paper beside it, with a short window
     first, silent = _stage_one(given, sampled, keep)
     return JointStages(chosen, first, sampled.initial, keep, silent)
 
 
-def _named(static: Any, effects: Any) -> list[Any] | None:
+def _named_items(static: Any, effects: Any) -> list[Any] | None:
     """Entries or effects that the user names, None where it is a form."""
     if effects is not None and not (isinstance(static, str) and static == "auto"):
         raise ct.ControlArgument("effects= and static= name the same thing; give one of them")
@@ -382,6 +401,7 @@ def _named(static: Any, effects: Any) -> list[Any] | None:
 def _paper(given: dict[str, Any], sampled: Sampled, keep: bool) -> PaperStages:
     numbers = {name: _DEFAULTS.get(name) if given[name] is None else given[name] for name in _NUMBERS}
     settings = as_settings(numbers)
+    # average over two windows
     average = given["static_average"]
     if average is None:
         average = 2 * settings[1].window if given["window"] or given["static_window"] else _AVERAGE
@@ -400,6 +420,7 @@ def _stage_one(given: dict[str, Any], sampled: Sampled, keep: bool) -> tuple[Pap
     numbers = {name: _BESIDE.get(name) if given[name] is None else given[name] for name in _NUMBERS}
     settings = as_settings(numbers)[0], _INERT
     path = given["correction_input"], given["correction_feedthrough"]
+    # Markov parameters: does each input act on an output within n samples?
     model = sampled.discrete
     shown, power = np.abs(model.D).max(axis=0, initial=0.0), model.B
     for _ in range(model.n_states):
@@ -425,7 +446,7 @@ def _filter_settings(given: dict[str, Any], sampled: Sampled) -> FilterSettings:
     )
 
 
-def _listed(given: dict[str, Any], sampled: Sampled, items: Sequence[Any]) -> CoefficientSetup:
+def _named_setup(given: dict[str, Any], sampled: Sampled, items: Sequence[Any]) -> CoefficientSetup:
     """Coefficients that the user names: entries or effects."""
     if items and all(isinstance(item, str) for item in items) and given["effects"] is None:
         if given["substeps"] is not None:
@@ -444,6 +465,7 @@ def _forms(
     """Return the correction forms that take part, the most physical first."""
     model, every = sampled.initial, static == "auto"
     found: dict[str, CoefficientSetup] = {}
+    # most physical first: entries of the model, its inputs, all entries of the discrete model
     if static in ("auto", "nonzero"):
         found["nonzero"] = nonzero_entries(model, settings)
     path = correction_path(model, given["correction_input"], given["correction_feedthrough"])
@@ -454,9 +476,10 @@ def _forms(
             found["discrete"] = all_entries(model, sampled.discrete, settings)
         elif not every:
             raise ModelError("static='discrete' needs a held input; leave hold out, or take static='nonzero'")
+    # a form with too many coefficients takes part on request only
     if every:
-        found = {name: one for name, one in found.items() if len(one.labels) <= _MOST}
-    return {name: one for name, one in found.items() if one.labels}
+        found = {name: setup for name, setup in found.items() if len(setup.labels) <= _MOST}
+    return {name: setup for name, setup in found.items() if setup.labels}
 
 
 _NUMBERS = (

@@ -27,11 +27,13 @@ def own_lock() -> threading.RLock:
 
 
 def _before_fork() -> None:
+    # wait until no method of any object runs, then hold all locks over the fork
     _forking.acquire()
     _held.extend(lock for ref in _locks.valuerefs() if (lock := ref()) is not None and lock.acquire())
 
 
 def _after_fork() -> None:
+    # parent and child release them
     while _held:
         _held.pop().release()
     _forking.release()

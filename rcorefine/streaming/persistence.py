@@ -56,7 +56,8 @@ def write_file(path: str | os.PathLike[str], content: Any) -> None:
         Tree to write.
     """
     arrays: dict[str, np.ndarray[Any, Any]] = {}
-    meta = json.dumps({"schema": SCHEMA, "content": _encoded(content, arrays)})
+    # the tree as JSON; arrays beside it under keys a0, a1, ...
+    meta = json.dumps({"schema": SCHEMA, "content": _encode(content, arrays)})
     with replacing(path) as stream:
         np.savez(stream, allow_pickle=False, **{_META: np.array(meta)}, **arrays)
 
@@ -74,6 +75,7 @@ def read_file(
     path = as_path(path)
     known = as_mapping(laws, "laws", "functions")
     try:
+        # C order: kernels are compiled for one layout of arrays
         arrays = {key: np.array(value, order="C") for key, value in read_archive(path).items()}
         meta = json.loads(str(arrays.pop(_META)))
     except OSError:
@@ -87,13 +89,14 @@ def read_file(
             "load it with the version of rcorefine that wrote it"
         )
     with damaged(path):
-        content = _decoded(meta["content"], arrays, known)
+        content = _decode(meta["content"], arrays, known)
         if not isinstance(content, dict) or content.get("what") != what:
             raise DataError(f"{os.fspath(path)!r} holds no {what}; it was saved by something else")
         return content
 
 
-def _encoded(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+def _encode(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+    # leaves: numbers and text as they are, arrays by their key
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, np.generic):
@@ -102,38 +105,44 @@ def _encoded(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
         key = f"a{len(arrays)}"
         arrays[key] = value
         return {"array": key}
+    # models and effects of the user by what makes them again
     if isinstance(value, ct.StateSpace):
-        return {"statespace": _encoded(LinearModel.from_statespace(value), arrays)}
+        return {"statespace": _encode(LinearModel.from_statespace(value), arrays)}
     if isinstance(value, Effect):
-        return {"effect": _encoded(_arguments(value), arrays), "port": value._domain}
+        return {"effect": _encode(_arguments(value), arrays), "port": value._domain}
+    # dataclasses and named tuples by name and fields; what is compiled is made anew
     kind = type(value).__name__
     if _KINDS.get(kind) is type(value):
         names = value._fields if hasattr(value, "_fields") else [f.name for f in fields(value)]
-        parts = {n: _encoded(getattr(value, n), arrays) for n in names if n not in _NOT_STORED}
+        parts = {n: _encode(getattr(value, n), arrays) for n in names if n not in _NOT_STORED}
         return {"kind": kind, "fields": parts}
+    # containers; pairs, as keys may be other than text
     if isinstance(value, list | tuple):
-        return {"tuple" if isinstance(value, tuple) else "list": [_encoded(item, arrays) for item in value]}
+        return {"tuple" if isinstance(value, tuple) else "list": [_encode(item, arrays) for item in value]}
     if isinstance(value, Mapping):
-        return {"map": [[_encoded(k, arrays), _encoded(v, arrays)] for k, v in value.items()]}
+        return {"map": [[_encode(k, arrays), _encode(v, arrays)] for k, v in value.items()]}
     if hasattr(value, "physical_model"):
-        return _encoded(value.physical_model, arrays)
+        return _encode(value.physical_model, arrays)
     raise ModelError(f"a {type(value).__name__} cannot be saved; hand over a StateSpace or a PhysicalModel")
 
 
 def _arguments(effect: Effect) -> dict[str, Any]:
+    # a function is saved as its import path, never as code
     given = {name: getattr(effect, name) for name in ARGUMENTS}
     return given | {"law": effect.law if isinstance(effect.law, Table) else import_path(effect)}
 
 
-def _decoded(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[..., Any]]) -> Any:
+def _decode(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[..., Any]]) -> Any:
     if not isinstance(tree, dict):
         return tree
+    # leaves and models, as they were encoded
     if "array" in tree:
         return arrays[tree["array"]]
     if "statespace" in tree:
-        return _decoded(tree["statespace"], arrays, laws).to_statespace()
+        return _decode(tree["statespace"], arrays, laws).to_statespace()
+    # an effect with a function: from its import path, or from `laws` by its label
     if "effect" in tree:
-        arguments = _decoded(tree["effect"], arrays, laws)
+        arguments = _decode(tree["effect"], arrays, laws)
         path = arguments.pop("law", "")
         if isinstance(path, Table):
             arguments["law"] = path
@@ -146,19 +155,20 @@ def _decoded(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[...,
                 )
             arguments["law"] = laws[label] if label in laws else law_here(path, label)
         return Effect(**arguments).at_port(tree["port"])
+    # dataclasses: each field must fit its declared type before the class is called
     if "kind" in tree:
         kind = _KINDS[tree["kind"]]
-        parts = {name: _decoded(part, arrays, laws) for name, part in tree["fields"].items()}
+        parts = {name: _decode(part, arrays, laws) for name, part in tree["fields"].items()}
         for name, hint in get_type_hints(kind).items():
             if name in parts and not fits(parts[name], hint):
                 raise DataError(f"{tree['kind']}.{name} is {parts[name]!r:.60}: the file is damaged")
         assert is_dataclass(kind) or hasattr(kind, "_fields")
         return kind(**parts)
     if "tuple" in tree:
-        return tuple(_decoded(item, arrays, laws) for item in tree["tuple"])
+        return tuple(_decode(item, arrays, laws) for item in tree["tuple"])
     if "list" in tree:
-        return [_decoded(item, arrays, laws) for item in tree["list"]]
-    return {_decoded(k, arrays, laws): _decoded(v, arrays, laws) for k, v in tree["map"]}
+        return [_decode(item, arrays, laws) for item in tree["list"]]
+    return {_decode(k, arrays, laws): _decode(v, arrays, laws) for k, v in tree["map"]}
 
 
 _WORDS = {int: "a whole number", bool: "true or false", str: "a text", type(None): "nothing"}
@@ -202,8 +212,10 @@ def check_like(found: Any, fresh: Any, where: str, grown: Mapping[str, str] = _N
     Traceback (most recent call last):
     rcorefine.exceptions.DataError: state.x has shape (4,) and must have (3,): the file is damaged
     """
+    # arrays: dtype and shape of a fresh object, more rows only where samples are kept
     if isinstance(fresh, np.ndarray):
         _check_array(found, fresh, where, where.rpartition(".")[2] in grown)
+    # mappings and dataclasses: the same names, then part by part
     elif isinstance(fresh, Mapping):
         same = isinstance(found, Mapping) and set(found) == set(fresh)
         _require(same, where, found, f"of {', '.join(map(str, fresh))}")
@@ -215,9 +227,11 @@ def check_like(found: Any, fresh: Any, where: str, grown: Mapping[str, str] = _N
         _require(isinstance(found, tuple) and len(found) == len(fresh), where, found, f"{len(fresh)} parts")
         for index, (part, other) in enumerate(zip(found, fresh, strict=True)):
             check_like(part, other, f"{where}[{index}]", grown)
+    # numbers: finite where the fresh one is
     elif isinstance(fresh, float):
         _require(type(found) in (float, int), where, found, "a number")
         _require(math.isfinite(found) or not math.isfinite(fresh), where, found, "finite")
+    # all else by its type; counters neither negative nor beyond what a float can count
     else:
         _require(type(found) is type(fresh), where, found, _WORDS.get(type(fresh), type(fresh).__name__))
         if type(fresh) is int:
@@ -247,10 +261,12 @@ def check_schema(found: Any, kind: type, sizes: dict[str, int], where: str) -> N
         Where they differ.
     """
     _require(type(found) is kind, where, found, f"a {kind.__name__}")
+    # fields without a declared shape are checked by their callers
     for name, hint in get_type_hints(kind, include_extras=True).items():
         if get_origin(hint) is not Annotated:
             continue
         value, inside = getattr(found, name), f"{where}.{name}"
+        # letters of the shape are bound at their first array, and equal from then on
         form, axes, *limits = get_args(hint)
         if get_origin(form) is np.ndarray:
             shape = []
@@ -282,6 +298,7 @@ def check_course(found: Any, rows: Any, n_outputs: int) -> None:
     DataError
         Where they differ.
     """
+    # an empty record of one row, NaN: any number of rows and values not finite are allowed
     unknown = {name: np.full(part.shape[1:], np.nan)[None] for name, part in parts_of(rows).items()}
     unknown["outputs"] = np.full((1, n_outputs), np.nan)
     _require(isinstance(found, list), "history", found, "a list")
@@ -318,6 +335,7 @@ def fits(value: Any, hint: Any) -> bool:
         return any(fits(value, one) for one in arguments)
     if origin is np.ndarray:
         return isinstance(value, np.ndarray) and value.dtype.kind in "fiu"
+    # tuples: (float, float) by position, (float, ...) for any length
     if origin is tuple:
         if not isinstance(value, tuple):
             return False
@@ -325,6 +343,7 @@ def fits(value: Any, hint: Any) -> bool:
         return len(each) == len(value) and all(map(fits, value, each))
     if origin is Annotated:
         return fits(value, arguments[0])
+    # a whole number may stand for a float, but a bool for neither
     if hint is float:
         return type(value) in (float, int)
     if hint is int:
@@ -364,6 +383,7 @@ def check_range(values: Any, low: Any, high: Any, where: str) -> None:
 def _check_parts(
     found: Mapping[str, Any], fresh: Mapping[str, Any], where: str, grown: Mapping[str, str]
 ) -> None:
+    # arrays that grow together have the same number of rows
     rows: dict[str, int] = {}
     for name, value in fresh.items():
         check_like(found[name], value, f"{where}.{name}", grown)
@@ -377,6 +397,7 @@ def _check_array(found: Any, fresh: np.ndarray[Any, Any], where: str, grown: boo
     _require(isinstance(found, np.ndarray), where, found, "an array")
     if found.dtype != fresh.dtype:
         raise DataError(f"{where} is of type {found.dtype} and must be {fresh.dtype}: the file is damaged")
+    # the first axis may differ where it counts samples
     if found.ndim != fresh.ndim or found.shape[grown:] != fresh.shape[grown:]:
         wanted = f"(any, {', '.join(map(str, fresh.shape[1:]))})" if grown else str(fresh.shape)
         raise DataError(f"{where} has shape {found.shape} and must have {wanted}: the file is damaged")

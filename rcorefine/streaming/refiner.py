@@ -129,9 +129,10 @@ class RCORefiner(Result):
         forgetting: float = 1.0,
         substeps: int | None = None,
     ) -> None:
+        # arguments stay as they were given: `save` writes them, `load` builds the refiner from them
         self.model = model
         self.dt = dt
-        self.static = static if isinstance(static, str) else _listed(static)
+        self.static = static if isinstance(static, str) else _as_tuple(static)
         self.order = order
         self.window = window
         self.markov = markov
@@ -146,15 +147,18 @@ class RCORefiner(Result):
         self.use_estimated_states = use_estimated_states
         self.scale = scale
         self.missing = as_missing(missing)
-        self.effects = effects if effects is None else _listed(effects)
+        self.effects = effects if effects is None else _as_tuple(effects)
         self.noise = noise
         self.hold = hold
         self.disturbance = disturbance
         self.forgetting = forgetting
         self.substeps = substeps
+        # one thread at a time: a monitor or a display may read while samples come in
         self._lock = own_lock()
+        # discretize the initial model at the sampling time of the stream
         self._sampled = sampled_model(model, dt)
         self._keep = as_flag(history, "history")
+        # choose the estimator: joint Kalman filter, forms side by side, or the paper's equations
         given = {name: getattr(self, name) for name in _SETTINGS}
         self._estimator = assembled(given | {"history": history}, self._sampled)
         self.reset()
@@ -190,10 +194,13 @@ class RCORefiner(Result):
             With ``effects=``, where the first samples have a constant part that no effect takes: a
             sensor offset distorts the coefficients; estimate an ``"output_offset"`` beside them.
         """
+        # a missing input holds its last value
         model, step = self._sampled.initial, self._sampled.step
         latest = None if self.missing == "raise" else self._latest
+        # check everything first, so that an error changes nothing
         block = checked_block(model, step, w, y, self._estimator.n_samples, latest)
         self._estimator.take(block)
+        # last input, for a gap at the start of the next call
         self._latest = block.inputs[-1].copy()
 
     @alone
@@ -233,11 +240,14 @@ class RCORefiner(Result):
         At the end of a record, samples still held back for the scales are
         learned from, however few.
         """
+        # inputs and outputs in the order of the model, (N, signals)
         inputs, outputs = checked_record(self._sampled, data, self.hold)
         with Progress(progress) as bar:
+            # blocks of 1,000 samples: the loop over samples is compiled, progress is shown between
             for first in bar.over(range(0, inputs.shape[0], _CHUNK), "refining"):
                 part = slice(first, first + _CHUNK)
                 self._estimator.take(whole_block(inputs[part], outputs[part]), keep_sound=True)
+        # a record shorter than the first milestone is learned from now
         self._estimator.finish()
         return self
 
@@ -264,6 +274,7 @@ class RCORefiner(Result):
         DataError, control.ControlDimension, control.ControlArgument
             As in `update`.
         """
+        # free run from the present state, coefficients frozen
         model = self._sampled.initial
         inputs = as_samples(w, "inputs", model.n_inputs)
         check_samples(inputs, model.input_labels, "input", self.n_samples, self._sampled.step)
@@ -297,6 +308,7 @@ class RCORefiner(Result):
         --------
         load
         """
+        # settings rebuild the estimator, `state` restores its memory
         content = {
             "what": "refiner",
             "settings": {name: getattr(self, name) for name in _SETTINGS} | {"history": self._keep},
@@ -346,6 +358,7 @@ class RCORefiner(Result):
         >>> again.n_samples
         500
         """
+        # build a fresh refiner, compare the saved memory with its memory, then take it over
         content = read_file(path, laws)
         with damaged(path):
             refiner = cls(**content["settings"])
@@ -465,6 +478,7 @@ class RCORefiner(Result):
     @alone
     def discrete_system(self) -> ct.StateSpace:
         """Refined model in discrete time, labels kept."""
+        # the filter estimates in discrete time, or discretizes with the hold of the stream
         return self._estimator.static.discrete_system(self._name()).to_statespace()
 
     @property
@@ -491,6 +505,7 @@ class RCORefiner(Result):
         RCOError
             If it was not asked for with ``history=True``.
         """
+        # constant memory by default
         if not self._keep:
             raise RCOError(
                 "no history was kept: build the refiner with RCORefiner(..., history=True) and run it again "
@@ -539,6 +554,7 @@ class RCORefiner(Result):
         return f"{self._sampled.initial.name}$refined"
 
     def __getstate__(self) -> dict[str, Any]:
+        # a lock belongs to its process
         state = dict(self.__dict__)
         del state["_lock"]
         if isinstance(self.model, ct.StateSpace):  # holds a lambda, which cannot be pickled
@@ -547,6 +563,7 @@ class RCORefiner(Result):
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
+        # a new lock, and python-control's model again
         self._lock = own_lock()
         if isinstance(self.model, LinearModel):
             self.model = self.model.to_statespace()
@@ -555,8 +572,9 @@ class RCORefiner(Result):
         return f"<RCORefiner of {self._sampled.initial.name!r}: {self.n_learned} samples learned>"
 
 
-def _listed(items: Any) -> tuple[Any, ...]:
+def _as_tuple(items: Any) -> tuple[Any, ...]:
     """One item, or several, as a tuple."""
+    # a string or an Effect alone counts as one item
     return tuple(np.atleast_1d(np.array(items, dtype=object)))
 
 

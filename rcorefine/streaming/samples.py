@@ -57,6 +57,7 @@ def as_samples(values: Any, what: str, n_signals: int) -> Array:
         If there is no sample, or a value is masked.
     """
     array = as_array(values, what, finite=False, flags=True)
+    # a vector is one sample of several signals, or a block of one signal
     if array.size == 0:
         raise DataError(f"{what} is empty (shape {array.shape}); give at least one sample")
     if array.ndim == 1:
@@ -66,6 +67,7 @@ def as_samples(values: Any, what: str, n_signals: int) -> Array:
     if array.ndim != 2:
         raise ct.ControlDimension(f"{what} has shape {array.shape}; give one sample (n,) or a block (n, N)")
     if array.shape[0] != n_signals:
+        # python-control's order: signals first, time last
         if array.shape[1] == n_signals and np.ndim(values) == 2:
             raise ct.ControlDimension(
                 f"{what} has shape {array.shape}: it looks transposed. Signals come first and time last; "
@@ -103,6 +105,7 @@ def check_samples(signals: Array, labels: Sequence[str], what: str, first: int, 
     if not bad.any():
         check_sizes(signals, labels, what, smallest=0.0)  # a sample may be as small as it likes
         return
+    # report the first sample and the first signal that is not finite
     sample = int(np.argmax(bad.any(axis=0)))
     row = int(np.argmax(bad[:, sample]))
     value = "NaN" if np.isnan(signals[row, sample]) else "Inf"
@@ -185,11 +188,13 @@ class Sampled:
 
 def sampled_model(model: Any, dt: float | None) -> Sampled:
     """Check the initial model and discretize it."""
+    # a physical model brings its linear part
     model = LinearModel.from_statespace(getattr(model, "system", model))
     if model.is_continuous and dt is None:
         raise ModelError(
             f"model {model.name!r} is continuous: give dt, the sampling time of the record in seconds"
         )
+    # a sampling time must agree with a discrete model
     if dt is not None:
         fixed = not model.is_continuous and model.dt is not None and model.dt is not True
         if fixed and abs(model.dt - check_sampling_time(dt)) > 1e-6 * model.dt:
@@ -197,6 +202,7 @@ def sampled_model(model: Any, dt: float | None) -> Sampled:
                 f"dt = {dt!r} s contradicts model {model.name!r}, which has dt = {model.dt:g} s; "
                 "leave dt out, or give the continuous model (rcorefine.d2c converts one)"
             )
+        # zero-order hold equivalent
         discrete = to_discrete(model, dt)
         return Sampled(model, discrete, float(discrete.dt))
     return Sampled(model, model, None if model.dt is None or model.dt is True else float(model.dt))
@@ -234,13 +240,16 @@ def checked_block(
         Inputs of the sample before, to go on with where one is missing: NaN and masked samples are gaps.
         None: they are refused.
     """
+    # fast path for single samples
     if _is_plain(w, model.n_inputs) and _is_plain(y, model.n_outputs):
         return whole_block(w[None].copy(), y[None].copy())
+    # masked values are missing values
     if latest is not None:
         w, y = (
             np.ma.filled(np.ma.asarray(one, dtype=float), np.nan) if np.ma.isMaskedArray(one) else one
             for one in (w, y)
         )
+    # shapes, then values; a NaN is allowed only where gaps are
     inputs, outputs = as_block(model, w, y)
     for signal, labels, what in (
         (inputs, model.input_labels, "input"),
@@ -251,10 +260,13 @@ def checked_block(
     inputs, outputs = np.ascontiguousarray(inputs.T), np.ascontiguousarray(outputs.T)
     if latest is None:
         return whole_block(inputs, outputs)
+    # an input counts as known at a sample if all its channels are; outputs one by one
     known, use = np.asarray(~np.isnan(inputs).any(axis=1)), ~np.isnan(outputs)
+    # hold the last input over a gap
     for row in inputs:
         row[np.isnan(row)] = latest[np.isnan(row)]
         latest = row
+    # a missing output is not used; zero keeps the arrays finite
     outputs[~use] = 0.0
     return Block(inputs, outputs, known.astype(np.uint8), use.astype(np.uint8))
 
@@ -268,6 +280,7 @@ def checked_record(setup: Sampled, data: Any, hold: str) -> tuple[Array, Array]:
     data = as_record(data)
     from ..data.channels import match_channels
 
+    # the record must have the sampling time of the refiner
     if setup.step is not None:
         to_discrete(setup.discrete, data.dt)
     if model.is_continuous and data.hold != hold:
@@ -280,6 +293,7 @@ def checked_record(setup: Sampled, data: Any, hold: str) -> tuple[Array, Array]:
             f"record {data.name!r} has no input: retrospective cost optimization learns from what an input "
             "drives; use refine or improve for a free decay"
         )
+    # channels by label, in the order of the model
     channels = match_channels(model, data)
     if -1 in channels.outputs:
         missing = model.output_labels[channels.outputs.index(-1)]
@@ -287,6 +301,7 @@ def checked_record(setup: Sampled, data: Any, hold: str) -> tuple[Array, Array]:
             f"output {missing!r} of the model is not in record {data.name!r}; measure it, or give a model "
             "without it"
         )
+    # too short for the states, or an input that excites nothing
     if data.n_samples < model.n_states:
         raise DataError(
             f"record {data.name!r} has {data.n_samples} sample(s) for a model of {model.n_states} "

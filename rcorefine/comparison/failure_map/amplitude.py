@@ -58,6 +58,7 @@ def input_laws(scene: ModelOnRecord) -> list[Finding]:
         if np.ptp(w) != 0.0:
             # what says no more than this is but the gain
             least = scene.evidence.linear(scene.driven([(j, w)])).gain + float(np.log(scene.n_samples))
+            # candidate shapes: with a level found by search, and without one
             every = (*_with_level(scene, j), *_with_shape(scene, j))
             found += [finding for finding in every if finding.explanation.gain > least]
     return found
@@ -65,6 +66,7 @@ def input_laws(scene: ModelOnRecord) -> list[Finding]:
 
 def _with_level(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
     w, name, unit = scene.data.inputs[j], scene.data.input_labels[j], scene.data.input_units[j]
+    # levels from the 5th to the 98th percentile of |w|
     levels = np.unique(np.quantile(np.abs(w), np.linspace(0.05, 0.98, 24)))
     levels = levels[levels > 0]
     if levels.size < 3:
@@ -74,28 +76,32 @@ def _with_level(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
         def acting(values: Array, law: _Law = law) -> Array:
             return np.array(scene.driven([(j, law(w, g)) for g in values]))
 
-        one = scene.evidence.searched(acting, levels[::2], scaled=True)
-        factor, g = map(float, one.values)
+        # gain of the shape by least squares, its level by a search in one dimension
+        explanation = scene.evidence.searched(acting, levels[::2], scaled=True)
+        factor, g = map(float, explanation.values)
         text = {"n": name, "g": f"{g:.3g} {unit}".rstrip()}
         measure, sentence = (kind, _SENTENCES[kind]) if factor > 0 else _LARGER[kind]
         values = {"input": name, "level": g, "factor": factor, "kind": measure}
         where, sentence = where.format(**text), sentence.format(**text)
-        yield Finding("amplitude", where, measure, one, 2, 12, sentence, values)
+        yield Finding("amplitude", where, measure, explanation, 2, 12, sentence, values)
 
 
 def _with_shape(scene: ModelOnRecord, j: int) -> Iterator[Finding]:
     w, name = scene.data.inputs[j], scene.data.input_labels[j]
+    # share of the energy at positive values: below 1 or above 99 % the input has one sign
     energy = float(np.sum(np.maximum(w, 0.0) ** 2)) / float(w @ w)
     shapes = _SHAPES if _OTHER_SIGN < energy < 1.0 - _OTHER_SIGN else _ONE_SIDED
     columns = scene.driven([(j, shape(w, float(w.std()))) for _, shape, _ in shapes])
     for (kind, _, where), column in zip(shapes, columns, strict=True):
-        one, values, text = scene.evidence.linear([column]), {"input": name, "kind": kind}, _SENTENCES[kind]
-        yield Finding("amplitude", where.format(n=name), kind, one, 1, 3, text.format(n=name), values)
+        explanation = scene.evidence.linear([column])
+        values, text = {"input": name, "kind": kind}, _SENTENCES[kind]
+        yield Finding("amplitude", where.format(n=name), kind, explanation, 1, 3, text.format(n=name), values)
 
 
 def level_dependence(scene: ModelOnRecord) -> list[Finding]:
     """Bands in which gain or phase change with the level of the response."""
     found = []
+    # bands of the simulated output that hold 96 % of its energy
     for i in range(scene.n_outputs):
         run = scene.run[i] - scene.run[i].mean()
         energy = np.abs(np.fft.rfft(run)) ** 2
@@ -106,18 +112,21 @@ def level_dependence(scene: ModelOnRecord) -> list[Finding]:
             continue
         centers = np.geomspace(low, high, 5)
         plain = band_columns(scene, i, centers)
+        # modulate each band by its squared envelope (Hilbert transform)
         modulated = []
         for k in range(centers.size):
             pair = plain[2 * k : 2 * k + 2]
             level = np.abs(hilbert(pair[0][i])) ** 2
             level = level / max(float(level.mean()), 1e-300) - 1.0
             modulated.append([column * level for column in pair])
+        # test the modulated columns beside the plain ones
         base = scene.evidence.linear(plain)
         singles = [scene.evidence.linear([*plain, *pair]) for pair in modulated]
-        k = int(np.argmax([one.gain for one in singles]))
+        k = int(np.argmax([explanation.gain for explanation in singles]))
         every = scene.evidence.linear([*plain, *(c for pair in modulated for c in pair)])
         dof = 2
         best = singles[k]
+        # one band, or all where that explains clearly more
         if every.gain - best.gain > 8 * np.log(scene.n_samples):
             best, dof = every, 10
         own = Explanation(best.fit - base.fit, best.gain - base.gain, best.values)
@@ -140,14 +149,17 @@ def distortions(scene: ModelOnRecord) -> list[Finding]:
     if lines is None or len(scene.starts) > 1:
         return []
     period, excited, base = lines
+    # harmonics of the base frequency that the input does not contain, up to 5 times the highest
     harmonic = np.arange(excited.size) / base
     reached = ~excited & (harmonic > 0) & (harmonic <= 5 * harmonic[excited].max())
     found = []
     for parity, word, shape in ((0, "even", "is asymmetric"), (1, "odd", "is the same on both sides")):
+        # even and odd harmonics separately
         wanted = reached & (harmonic % 2 == parity)
         for i in range(scene.n_outputs if wanted.any() else 0):
             r, name = scene.residual[i], scene.named(i)
             whole = r.size // period - 1  # the first period settles
+            # mean over whole periods: noise averages out, distortion remains
             spectrum = np.fft.rfft(r[r.size - whole * period :].reshape(whole, period).mean(axis=0))
             wave = np.fft.irfft(np.where(wanted, spectrum, 0.0), period)
             fit = scene.only(i, np.tile(wave, whole + 2)[(whole + 2) * period - r.size :])
@@ -156,8 +168,8 @@ def distortions(scene: ModelOnRecord) -> list[Finding]:
                 f"{name} contains {word} harmonics that the input does not ({level:.0f} dB of its level): a "
                 f"nonlinearity that {shape}."
             )
-            one = Explanation(fit, scene.evidence.gain(fit), np.array([level]))
+            explanation = Explanation(fit, scene.evidence.gain(fit), np.array([level]))
             values = {"output": name, "level_dB": level, "kind": "distortion", "parity": word}
             where, measure, dof = f"{word} harmonics at {name}", f"{word} distortion", 2 * int(wanted.sum())
-            found.append(Finding("amplitude", where, measure, one, dof, 2, text, values))
+            found.append(Finding("amplitude", where, measure, explanation, dof, 2, text, values))
     return found

@@ -64,17 +64,20 @@ def find_modes(model: LinearModel) -> list[Mode]:
     """Stable modes of a continuous model that lie apart from the others."""
     if model.n_states == 0:
         return []
+    # modes: eigenvalues, with right and left eigenvectors
     values, right = np.linalg.eig(model.A)
     # a double pole has no modes of its own; those that lie apart still have
     left = np.linalg.pinv(right) if np.linalg.cond(right) > 1e10 else np.linalg.inv(right)
     found: list[Mode] = []
     for i in np.argsort(np.abs(values)):
+        # stable modes only, one of each conjugate pair, no integrators
         pole = complex(values[i])
         if pole.imag < 0 or pole.real >= -1e-9 * abs(pole) or abs(pole) < 1e-9 * np.abs(values).max():
             continue
         others = np.delete(values, i)
         if others.size and np.min(np.abs(others - pole)) < 1e-6 * abs(pole):
             continue
+        # residue matrix of the mode: C v w' B
         residue = np.outer(model.C @ right[:, i], left[i] @ model.B)
         found.append(Mode(len(found) + 1, pole, residue, model.C @ right[:, i]))
     return found
@@ -85,6 +88,7 @@ class Shift:
 
     def __init__(self, scene: ModelOnRecord, mode: Mode) -> None:
         self.scene, self.mode = scene, mode
+        # contribution of the mode to the simulated output
         self.before = np.zeros_like(scene.run) if self._fast(mode.pole) else self._motion(mode.pole)
         self.seen = bool(np.any(np.abs(self.before) > 1e-9))
         #: number of unknowns: place of the pole, and the mode's size
@@ -102,6 +106,7 @@ class Shift:
             residue = 2.0 * over / (pole - np.conj(pole))
         else:
             residue = mode.residue
+        # discretized with the hold of the record, then a recursive filter of first order
         move = np.exp(pole * scene.dt)
         held = np.expm1(pole * scene.dt) / pole
         end = (held - scene.dt) / (pole * scene.dt) if scene.hold == "foh" else 0.0
@@ -120,6 +125,7 @@ class Shift:
         """
         if not self.mode.paired:
             return complex(self.mode.pole.real * np.exp(np.clip(point[0], -5, 5)))
+        # relative changes, limited to a factor of 4.5 in frequency
         omega = self.mode.omega * np.exp(np.clip(point[0], -1.5, 1.5))
         zeta = min(self.mode.zeta * float(np.exp(np.clip(point[1], -6, 6))), 0.999)
         return complex(-zeta * omega, omega * np.sqrt(1.0 - zeta**2))
@@ -129,6 +135,7 @@ class Shift:
         pole = self.pole(point)
         if self._fast(pole):
             return np.zeros_like(self.before)
+        # new contribution minus the old one
         factor = np.exp(np.clip(point[-1], -3, 3))
         change = factor * self._motion(pole) - self.before
         return np.asarray(change + self._free(pole, change))
@@ -138,6 +145,7 @@ class Shift:
         scene = self.scene
         if not scene.begins_moving or len(scene.starts) > 1:
             return np.zeros_like(change)
+        # initial condition of the moved mode by least squares, where it was estimated
         motion = np.exp(pole * scene.dt * np.arange(scene.n_samples))
         waves = (self.mode.shape[:, None] * motion[None]) / scene.scale
         columns = np.array([waves.real, waves.imag] if self.mode.paired else [waves.real])
@@ -155,6 +163,7 @@ def modes(scene: ModelOnRecord) -> list[Finding]:
     """Each mode that the inputs reach moved on its own, and several at once."""
     model: LinearModel | None = scene.model
     if not scene.model.is_continuous:
+        # discrete models: modes of the continuous equivalent
         try:
             with unheard():
                 model = LinearModel.from_statespace(d2c(scene.model.with_arrays(dt=scene.dt).to_statespace()))
@@ -162,21 +171,26 @@ def modes(scene: ModelOnRecord) -> list[Finding]:
             model = None
     if model is None or not np.any(scene.data.inputs):
         return []
+    # move each mode alone, then the best ones together
     shifts = [shift for shift in (Shift(scene, mode) for mode in find_modes(model)) if shift.seen]
-    single = [(shift, _searched(scene, shift)) for shift in shifts]
-    found = [_finding(scene, [shift], [one.values], one, len(shifts)) for shift, one in single]
+    single = [(shift, _search_shift(scene, shift)) for shift in shifts]
+    found = [
+        _finding(scene, [shift], [explanation.values], explanation, len(shifts))
+        for shift, explanation in single
+    ]
     used = [pair for pair in sorted(single, key=lambda pair: -pair[1].gain) if pair[1].gain > 0][
         :_MOST_TOGETHER
     ]
     return found + (_together(scene, used) if len(used) > 1 else [])
 
 
-def _searched(scene: ModelOnRecord, shift: Shift) -> Explanation:
+def _search_shift(scene: ModelOnRecord, shift: Shift) -> Explanation:
     evidence = scene.evidence
     known = scene.known.get(shift.mode.number)
     if known is not None:
         places = [known, np.zeros(shift.size)]
     elif shift.mode.paired:
+        # grid over frequency and damping, then Gauss-Newton
         steps = np.array([0.004, 0.01, 0.02, 0.035, 0.06, 0.1, 0.18, 0.3])
         places = [
             np.array([df, dz, 0.0])
@@ -199,7 +213,8 @@ def _together(scene: ModelOnRecord, chosen: Sequence[tuple[Shift, Explanation]])
         parts = np.split(point, cuts)
         return np.asarray(np.sum([shift(part) for shift, part in zip(used, parts, strict=True)], axis=0))
 
-    point = np.concatenate([one.values for _, one in chosen])
+    # start from the single fits, or from no change
+    point = np.concatenate([explanation.values for _, explanation in chosen])
     starts = [point, np.zeros(point.size)]
     costs = scene.evidence.misfits(np.array([shape(start) for start in starts]))
     best = scene.evidence.descended(shape, starts[int(np.argmin(costs))], evaluations=15)
@@ -207,9 +222,10 @@ def _together(scene: ModelOnRecord, chosen: Sequence[tuple[Shift, Explanation]])
 
 
 def _finding(
-    scene: ModelOnRecord, used: Sequence[Shift], points: Sequence[Array], one: Explanation, tried: int
+    scene: ModelOnRecord, used: Sequence[Shift], points: Sequence[Array], explanation: Explanation, tried: int
 ) -> Finding:
     shapes = np.array([shift(point) for shift, point in zip(used, points, strict=True)])
+    # sort the modes by the energy that their shift explains
     energy = np.sum(scene.evidence.without_nuisance(shapes) ** 2, axis=(1, 2))
     texts, rows = [], []
     for k in np.argsort(energy)[::-1]:
@@ -217,8 +233,9 @@ def _finding(
         row = {"mode": mode.number, "omega_model": mode.omega, "zeta_model": mode.zeta}
         row |= {"omega": abs(new), "zeta": -new.real / abs(new), "size": float(np.exp(points[k][-1]))}
         rows.append(row)
-        texts.append(_moved(row, mode.paired))
+        texts.append(_sentence(row, mode.paired))
     lead, paired = rows[0], used[int(np.argmax(energy))].mode.paired
+    # region of the finding: both frequencies and three half-widths
     ends = sorted([lead["omega"], lead["omega_model"]])
     half = 3.0 * max(lead["zeta"] * lead["omega"], ends[1] - ends[0])
     low, high = max(ends[0] - half, 0.0), ends[1] + half
@@ -231,10 +248,10 @@ def _finding(
     text = "; ".join(texts[:3]) + (f"; {len(texts) - 3} more" if len(texts) > 3 else "") + "."
     values = {"low": low, "high": high, "modes": rows, "kind": "modes" if more else "mode"}
     dof = sum(shift.size for shift in used)
-    return Finding("frequency", where, "modes" if more else name, one, dof, 25 * tried, text, values)
+    return Finding("frequency", where, "modes" if more else name, explanation, dof, 25 * tried, text, values)
 
 
-def _moved(row: dict[str, float], paired: bool) -> str:
+def _sentence(row: dict[str, float], paired: bool) -> str:
     share = 100.0 * (row["omega"] / row["omega_model"] - 1.0)
     more = f"{share:+.2g}" if abs(share) < 100 else f"{share:+.0f}"
     there, here = frequency_text(row["omega_model"]), frequency_text(row["omega"])
@@ -248,6 +265,7 @@ def _moved(row: dict[str, float], paired: bool) -> str:
 
 def bands(scene: ModelOnRecord) -> list[Finding]:
     """Bands in which an output is a smooth factor (complex) off the model."""
+    # bands from four periods over the record to the Nyquist frequency
     top = np.pi / scene.dt
     centers = np.geomspace(max(8.0 * np.pi / (scene.n_samples * scene.dt), 1e-3 * top), top, _BANDS)
     return [_band(scene, i, centers) for i in range(scene.n_outputs)]
@@ -258,8 +276,10 @@ def band_columns(scene: ModelOnRecord, i: int, centers: Array) -> list[Array]:
     n = scene.n_samples
     run = scene.run[i] - scene.run[i].mean()
     size = 1 << int(n + n // 8).bit_length()
+    # zero padding: the bands do not wrap around in time
     spectrum = np.fft.rfft(run, size)
     omega = 2.0 * np.pi * np.fft.rfftfreq(size, scene.dt)
+    # overlapping triangular bands over log frequency; factor -j: in quadrature
     position = np.interp(
         np.log(np.maximum(omega, 1e-3 * centers[0])), np.log(centers), np.arange(centers.size)
     )
@@ -273,10 +293,12 @@ def band_columns(scene: ModelOnRecord, i: int, centers: Array) -> list[Array]:
 def _band(scene: ModelOnRecord, i: int, centers: Array) -> Finding:
     """Contiguous band that explains most for its width."""
     columns = band_columns(scene, i, centers)
+    # normal equations of all bands once; blocks of them for each range
     white, target = scene.evidence.white(columns)
     gram, along = white.T @ white, white.T @ target
     total, n = float(target @ target), target.size
     gram += (1e-9 * np.trace(gram) / len(gram) + 1e-300) * np.eye(len(gram))
+    # best contiguous range by log-likelihood with Schwarz's penalty
     best, where = -np.inf, (0, 1)
     for a in range(centers.size):
         for b in range(a + 1, centers.size + 1):
@@ -287,14 +309,16 @@ def _band(scene: ModelOnRecord, i: int, centers: Array) -> Finding:
                 best, where = worth, (a, b)
     a, b = where
     part = slice(2 * a, 2 * b)
-    one = scene.evidence.linear(columns[part])
-    gains = 1.0 + one.values[0::2] + 1j * one.values[1::2]
+    # complex factor of each band in the range
+    explanation = scene.evidence.linear(columns[part])
+    gains = 1.0 + explanation.values[0::2] + 1j * explanation.values[1::2]
     off = np.abs(gains - 1.0)
     spread = np.sqrt(np.abs(np.diag(np.linalg.inv(gram[part, part]))))
     # most: by the factor itself, where it is sure, not by the energy that happens to be there
     sure = off - 2.0 * np.hypot(spread[0::2], spread[1::2])
     strongest = int(np.argmax(sure))
     factor = complex(gains[strongest])
+    # extent: neighbors with at least 40 % of the largest deviation
     first, last = strongest, strongest
     while first > 0 and sure[first - 1] > _HALF * off[strongest]:
         first -= 1
@@ -311,7 +335,7 @@ def _band(scene: ModelOnRecord, i: int, centers: Array) -> Finding:
     values: dict[str, Any] = {"output": name, "kind": "band", "low": low, "high": high}
     values |= {"center": center, "factor": abs(factor), "phase": phase}
     region = f"{ends[0]} ... {ends[1]}, {name}"
-    return Finding("frequency", region, "band", one, 2 * (b - a), centers.size, text, values)
+    return Finding("frequency", region, "band", explanation, 2 * (b - a), centers.size, text, values)
 
 
 _LEAST = 3  # periods: the first one settles, and noise takes two to be seen
@@ -339,6 +363,7 @@ def period_of(signals: Array) -> int | None:
         later = moving[:, period : period + first]
         return bool((np.abs(later - moving[:, : later.shape[1]]) <= rounding).all())
 
+    # candidate periods: the first sample comes again
     likely = 4 + np.flatnonzero(
         (np.abs(moving[:, 4 : n // _LEAST + 1] - moving[:, :1]) <= rounding).all(axis=0)
     )
@@ -355,6 +380,7 @@ def excited_lines(inputs: Array) -> tuple[int, NDArray[np.bool_], int] | None:
     period = period_of(inputs)
     if period is None:
         return None
+    # spectrum of the last period: lines above rounding were sent
     sent = np.abs(np.fft.rfft(inputs[:, -period:], axis=1)) ** 2
     excited = (sent > _SENT * sent.max()).any(axis=0)
     excited[0] = False
@@ -429,12 +455,16 @@ def line_levels(data: Measurement) -> LineLevels | None:
     if found is None:
         return None
     period, excited, base = found
+    # leave out the first period, in which the system settles
     count = data.n_samples // period - 1
     last = np.s_[:, data.n_samples - count * period :]
     kept = np.arange(base, min(_REACH * np.flatnonzero(excited)[-1], (period - 1) // 2) + 1, base)
     whole = data.outputs[last].reshape(data.n_outputs, count, period)
+    # spectrum of each period: the mean is the response, the scatter is noise
     spectra = 2.0 / period * np.fft.rfft(whole, axis=2)[:, :, kept]
     noise = spectra.std(axis=1, ddof=1) / np.sqrt(count)
+    # amplitude without the part that noise adds
     amplitude = np.sqrt(np.maximum(np.abs(spectra.mean(axis=1)) ** 2 - noise**2, 0.0))
+    # excited lines, odd and even harmonics of the base line
     kind = np.where(excited[kept], "sent", np.where(kept // base % 2 == 1, "odd", "even"))
     return LineLevels(2 * np.pi * kept / (period * data.dt), kind, amplitude, noise, count)

@@ -68,6 +68,7 @@ class ResidualLikelihood:
         self.n_outputs, self.n_samples = residual.shape
         self.edges = [*starts, self.n_samples]
         self._bases: dict[int, Array] = {}
+        # orthonormal bases of the nuisances: free motions and constants
         if initial is not None:
             for length in {b - a for a, b in pairwise(self.edges)}:
                 rows = np.moveaxis(initial[:length], 0, 1).reshape(self.n_outputs * length, -1)
@@ -94,6 +95,7 @@ class ResidualLikelihood:
         for a, b in pairwise(self.edges):
             part, q = signals[..., a:b], self._bases[b - a]
             flat = part.reshape(*part.shape[:-2], -1)
+            # subtract the projection Q Q' on the free motions, window by window
             out[..., a:b] = (flat - flat @ q @ q.T).reshape(part.shape)
         return out
 
@@ -112,6 +114,7 @@ class ResidualLikelihood:
         The residual has shape (n_y, N). The nuisances are initial states and offsets. The masked samples keep
         a little weight, because the other samples may not determine an initial state.
         """
+        # weighted least squares: the masked samples count little
         out = self.residual.copy()
         for a, b in pairwise(self.edges):
             level = np.repeat(np.eye(self.n_outputs), b - a, axis=0)
@@ -135,7 +138,7 @@ class ResidualLikelihood:
     def use(self, remainder: Array) -> None:
         """Take the noise model from this remainder."""
         self.whitener = self._noise(remainder)
-        self._white = self._filtered(self.residual)
+        self._white = self._whiten(self.residual)
 
     def use_white(self) -> None:
         """Weight all frequencies equally.
@@ -143,7 +146,7 @@ class ResidualLikelihood:
         This is right where a failure is far above the noise.
         """
         self.whitener = Whitener((np.ones(1),) * self.n_outputs, np.ones(self.n_outputs))
-        self._white = self._filtered(self.residual)
+        self._white = self._whiten(self.residual)
 
     def _noise(self, remainder: Array) -> Whitener:
         """One order for all remainders: their likelihoods are compared."""
@@ -156,7 +159,7 @@ class ResidualLikelihood:
         """
         return self._noise(remainder).log_likelihood(self.n_samples - self.order)
 
-    def _filtered(self, signals: Array) -> Array:
+    def _whiten(self, signals: Array) -> Array:
         return self.whitener.apply([signals])
 
     def white(self, columns: Sequence[Array] | Array) -> tuple[Array, Array]:
@@ -165,7 +168,7 @@ class ResidualLikelihood:
         Nuisance parameters are removed from both.
         """
         return np.array(
-            [self._filtered(left) for left in self.without_nuisance(np.array(columns))]
+            [self._whiten(left) for left in self.without_nuisance(np.array(columns))]
         ).T, self._white
 
     # ------------------------------------------------------------------ explanations
@@ -174,8 +177,9 @@ class ResidualLikelihood:
 
         The result includes the gain in log-likelihood.
         """
+        # whitened least squares
         values = _least_squares(*self.white(columns))
-        return self._explained(np.tensordot(values, np.array(columns), 1), values)
+        return self._explanation(np.tensordot(values, np.array(columns), 1), values)
 
     def best_of(self, groups: Sequence[Sequence[Array]], most: int = 3) -> list[tuple[int, Explanation]]:
         """Return the groups of columns that explain the most, with their fits.
@@ -185,6 +189,7 @@ class ResidualLikelihood:
         taken = []
         for group in groups:
             white, target = self.white(group)
+            # residual sum of squares with Schwarz's penalty
             left = float(np.sum((target - white @ _least_squares(white, target)) ** 2))
             taken.append(left + target.size / self.n_samples * len(group) * np.log(self.n_samples))
         order = np.argsort(taken, kind="stable")[:most]
@@ -192,6 +197,7 @@ class ResidualLikelihood:
 
     def gain(self, fit: Array) -> float:
         """Twice the log-likelihood that an explanation adds to the residual."""
+        # likelihood ratio; each remainder has a noise model of its own
         return 2.0 * (self.log_likelihood(self.residual - fit) - self.base)
 
     def misfits(self, shapes: Array, *, scaled: bool = False) -> Array:
@@ -199,6 +205,7 @@ class ResidualLikelihood:
 
         Where `scaled`, each shape is multiplied by its best factor.
         """
+        # sum of squares of the difference, or after the best factor
         white, target = self.white(shapes)
         if not scaled:
             return np.asarray(np.sum((target[:, None] - white) ** 2, axis=0))
@@ -213,6 +220,7 @@ class ResidualLikelihood:
         The family returns shapes (k, n_y, N) of k values. Where `scaled`, the shape is multiplied by its
         best factor.
         """
+        # grid first, then a bounded search between the neighbors
         points = np.unique(grid)
         costs = self.misfits(shapes(points), scaled=scaled)
         k = int(np.argmin(costs))
@@ -229,8 +237,8 @@ class ResidualLikelihood:
         (shape,), value = shapes(np.array([best])), np.array([best])
         if scaled:
             factor = _least_squares(*self.white([shape]))
-            return self._explained(factor * shape, np.append(factor, value))
-        return self._explained(shape, value)
+            return self._explanation(factor * shape, np.append(factor, value))
+        return self._explanation(shape, value)
 
     def descended(
         self, shape: Callable[[Array], Array], start: Array, *, evaluations: int = 12
@@ -241,28 +249,32 @@ class ResidualLikelihood:
         """
 
         def left(point: Array) -> Array:
-            return self._white - self._filtered(self.without_nuisance(shape(point)))
+            return self._white - self._whiten(self.without_nuisance(shape(point)))
 
+        # Jacobian by forward differences of the whitened residual
         def rows(point: Array) -> Rows:
             here = left(point)
             slopes = [(left(point + _STEP * e) - here) / _STEP for e in np.eye(point.size)]
             return Rows(here, np.array(slopes).T)
 
         near = np.asarray(start, dtype=float)
+        # Gauss-Newton within bounds about the start
         found = gauss_newton(rows, near, lower=near - _FAR, upper=near + _FAR, evaluations=evaluations)
-        return self._explained(shape(found.point), found.point)
+        return self._explanation(shape(found.point), found.point)
 
-    def _explained(self, shape: Array, values: Array) -> Explanation:
+    def _explanation(self, shape: Array, values: Array) -> Explanation:
         fit = self.without_nuisance(shape)
         return Explanation(fit, self.gain(fit), values, self._initial_out(shape) - fit)
 
-    def whole(self, one: Explanation) -> Array:
+    def whole(self, explanation: Explanation) -> Array:
         """Return the part of the error that an explanation removes.
 
         The constant offset is included where that fits better.
         """
         return max(
-            one.fit, one.fit + one.level, key=lambda part: -float(np.sum((self.with_offset - part) ** 2))
+            explanation.fit,
+            explanation.fit + explanation.level,
+            key=lambda part: -float(np.sum((self.with_offset - part) ** 2)),
         )
 
     def share_of_error(self, part: Array) -> float:
@@ -293,6 +305,7 @@ def _least_squares(columns: Array, target: Array) -> Array:
     size = np.linalg.norm(columns, axis=0)
     keep = size > 1e-12 * max(float(size.max(initial=0.0)), 1e-300)
     values = np.zeros(columns.shape[1])
+    # normal equations of unit columns, without directions of rounding size
     if keep.any():
         unit = columns[:, keep] / size[keep]
         weights, vectors = np.linalg.eigh(unit.T @ unit)

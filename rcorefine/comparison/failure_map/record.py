@@ -62,6 +62,7 @@ def given_places(
     -------
     Places or None
     """
+    # only a physical model names the places where forces act
     physical = model if isinstance(model, PhysicalModel) else getattr(model, "physical_model", None)
     if not isinstance(physical, PhysicalModel) or not linear.is_continuous:
         return None
@@ -80,6 +81,7 @@ def _places(
         placed[columns] = row
         return placed
 
+    # row vectors padded to the states, inputs in the order of the record
     places = tuple(
         replace(
             port, act=states(port.act), position=states(port.position), velocity=states(port.velocity),
@@ -153,11 +155,13 @@ class ModelOnRecord:
         self.states, self.starts = comparison.states[index], comparison.starts
         self._given = comparison.places[index]
         self.dt, self.n_samples, self.n_outputs = data.dt, data.n_samples, data.n_outputs
+        # outputs relative to their standard deviation
         spread = data.outputs.std(axis=1)
         self.scale = np.where(spread > 0, spread, 1.0)[:, None]
         self.run, self.measured = comparison.runs[index] / self.scale, data.outputs / self.scale
         self.reset = np.zeros(self.n_samples, dtype=np.uint8)
         self.reset[list(self.starts)] = 1
+        # a band-limited input is taken as linear between samples
         self.hold = "foh" if data.hold == "bandlimited" else data.hold
         self.transition, G0, G1 = model.A, model.B, np.zeros_like(model.B)
         if model.is_continuous:
@@ -167,6 +171,7 @@ class ModelOnRecord:
         #: whether the free motion from the initial state is much of the run
         self.begins_moving = False
         self._motions: Array | None = None
+        # free motions, where the initial state was estimated
         if searched and comparison.x0 == "estimate":
             longest = max(np.diff([*self.starts, self.n_samples]))
             initial = self._free(int(longest)) / self.scale
@@ -178,11 +183,12 @@ class ModelOnRecord:
         #: laws at places and what they would do, kept until the residual changes
         self.laws: list[Any] | None = None
         #: simulated outputs (n_y, N) at a delay in samples, which need not be a whole number
-        self.late: Callable[[float], Array] = lru_cache(maxsize=60)(self._delayed)
+        self.late: Callable[[float], Array] = lru_cache(maxsize=60)(self._with_delay)
         self.evidence = ResidualLikelihood(self.measured - self.run, self.starts, initial)
 
     def _free(self, length: int) -> Array:
         """Outputs from unit initial states, (length, n_y, n)."""
+        # C Phi^k
         x, out = np.eye(self.model.n_states), np.empty((length, self.n_outputs, self.model.n_states))
         for k in range(length):
             out[k] = self.model.C @ x
@@ -193,6 +199,7 @@ class ModelOnRecord:
     def places(self) -> Places | None:
         """Places where forces could act; None where the matrices show none."""
         found, model = self._given, self.model
+        # a plain state-space model: recognize displacements and velocities
         if found is None:
             try:
                 with unheard():
@@ -234,10 +241,11 @@ class ModelOnRecord:
         changes : sequence of (int, ndarray)
             Input and what is added to it, (N,).
         """
+        # linear response to the added inputs, from rest
         which = [i for i, _ in changes]
         signals, model = np.array([s for _, s in changes]).T, self.model
         drives = self._drives[0][:, which], self._drives[1][:, which]
-        return self._marched(self.transition, drives, model.C, model.D[:, which], signals)
+        return self._linear_response(self.transition, drives, model.C, model.D[:, which], signals)
 
     def forced(self, forces: Sequence[tuple[int, Array]]) -> list[Array]:
         """Return the output changes that resisting forces would cause.
@@ -250,6 +258,7 @@ class ModelOnRecord:
             Place and force, (N,) or several values per sample, (N k,), of which the
             mean acts over the sample.
         """
+        # forces at the places: mean over the sample, held
         assert self.places is not None
         used = [self.places.places[i] for i, _ in forces]
         fine = [np.reshape(s, (self.n_samples, -1)) for _, s in forces]
@@ -258,24 +267,26 @@ class ModelOnRecord:
         Phi, G0, G1 = discretize(self.places.A, acts.T, self.dt, "zoh")
         drives = G0[:, back.ravel()], G1[:, back.ravel()]
         nothing = np.zeros((self.n_outputs, len(used)))
-        found = self._marched(Phi, drives, self.places.C, nothing, means)
+        found = self._linear_response(Phi, drives, self.places.C, nothing, means)
         # accelerometers show the force of the very sample
         return [
             column + np.outer(p.output, f[:, 0]) / self.scale
             for column, p, f in zip(found, used, fine, strict=True)
         ]
 
-    def _marched(
+    def _linear_response(
         self, Phi: Array, drives: tuple[Array, Array], C: Array, D: Array, signals: Array
     ) -> list[Array]:
         out = linear_responses(Phi, drives, C, D, signals, restarts=self.reset)
         return [np.ascontiguousarray(column) / self.scale for column in np.moveaxis(out, (2, 1), (0, 1))]
 
-    def _delayed(self, delay: float) -> Array:
+    def _with_delay(self, delay: float) -> Array:
         """Return the simulated outputs (n_y, N), delayed by some samples."""
+        # whole samples by a shift, the rest by running the model on from each sample
         whole = int(np.floor(-delay))
         part = -delay - whole
         w, model = self.data.inputs, self.model
+        # discrete models: interpolate the simulated outputs
         if not model.is_continuous:
             grid = np.arange(self.n_samples, dtype=float)
             return np.asarray(CubicSpline(grid, self.run, axis=1)(np.clip(grid - delay, 0.0, grid[-1])))

@@ -159,6 +159,7 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
             f"The model {'runs in a loop' if comparison.looped else 'is unstable'} and is corrected by the "
             "record, so failures cannot be located; use diagnose"
         )
+    # search all regions with the same likelihood
     else:
         rows, looked = _rows(scene), DIMENSIONS if scene.places else DIMENSIONS[:3]
     rms = root_mean_square(comparison.data.outputs - comparison.runs[index])
@@ -169,13 +170,14 @@ _OF_OUTPUTS = (stretches, drifts, delays, signs, clipping, pinned, modes, bands)
 _OF_CAUSES = (input_laws, level_dependence, distortions, forces_at_places)
 
 
-def _searched(scene: ModelOnRecord) -> list[Finding]:
+def _search_all(scene: ModelOnRecord) -> list[Finding]:
     """All findings under the present noise model."""
     return [finding for search in _OF_OUTPUTS + _OF_CAUSES for finding in search(scene)]
 
 
 def _p_value(finding: Finding, scene: ModelOnRecord, count: int) -> float:
     """Likelihood ratio as an F-test, times the number of regions."""
+    # F statistic from the likelihood ratio; Bonferroni over the regions searched
     n = scene.n_samples - scene.evidence.order
     gain = finding.explanation.gain
     if gain <= 0:
@@ -193,12 +195,13 @@ def _rows(scene: ModelOnRecord) -> tuple[Failure, ...]:
     whole = scene.evidence
     # first as if the noise were nothing, then with the noise that the leader leaves
     whole.use_white()
-    findings = _searched(scene)
+    findings = _search_all(scene)
     count = 2 * sum(f.tried for f in findings)
     sure = [f for f in findings if _p_value(f, scene, count) < levels().failure]
     leaders = _in_order(sure, scene)
+    # second pass: noise model of what the leader leaves
     whole.use(scene.residual - (leaders[0].explanation.fit if leaders else 0.0))
-    ranked = _ranked(findings + _searched(scene), scene, count)
+    ranked = _rank(findings + _search_all(scene), scene, count)
     if not ranked:
         return ()
     rows = [_row(ranked[0], scene, count, "first", whole)]
@@ -212,13 +215,14 @@ def _rows(scene: ModelOnRecord) -> tuple[Failure, ...]:
         part = scene.evidence.share_of_error(scene.evidence.whole(f.explanation))
         return max(besides, part * (1.0 - whole.share_of_error(all_of_it)))
 
+    # look for up to two more failures in the remaining residual
     for _ in range(_BESIDES):
         if max(1.0 - whole.share(fit), 1.0 - whole.share_of_error(all_of_it)) < levels().failure_besides:
             break  # nothing is left that could count
         scene.evidence, scene.known, scene.laws = whole.after(fit, all_of_it), {}, None
         left = [
             f
-            for f in _ranked(_searched(scene), scene, count)
+            for f in _rank(_search_all(scene), scene, count)
             if f.dimension != "place" and _region(f) not in shown and more(f) >= levels().failure_besides
         ]
         if not left:
@@ -227,18 +231,19 @@ def _rows(scene: ModelOnRecord) -> tuple[Failure, ...]:
         shown.append(_region(left[0]))
         fit, all_of_it = fit + left[0].explanation.fit, all_of_it + scene.evidence.whole(left[0].explanation)
     scene.evidence = whole
+    # other views of the same failure
     dimensions = {ranked[0].dimension}
     for f in ranked[1:]:
         share = whole.share(f.explanation.fit)
         # the best row of each dimension, and what explains nearly as much as the leader
         seen = share >= _RIVAL * lead or (f.dimension not in dimensions and share >= _SOME * lead)
-        if seen and not _follows(f, ranked[0], whole):
+        if seen and not _is_consequence(f, ranked[0], whole):
             rows.append(_row(f, scene, count, "instead", whole))
             dimensions.add(f.dimension)
     return tuple(rows[:_SHOWN])
 
 
-def _follows(f: Finding, leader: Finding, whole: ResidualLikelihood) -> bool:
+def _is_consequence(f: Finding, leader: Finding, whole: ResidualLikelihood) -> bool:
     """Return whether a row is only a consequence of the leading row.
 
     Such a row explains nothing in addition to the leading row. The leading row explains more in addition to
@@ -248,6 +253,7 @@ def _follows(f: Finding, leader: Finding, whole: ResidualLikelihood) -> bool:
         return False
     price = float(np.log(whole.n_samples))
 
+    # likelihood gain of one finding after the other is taken out
     def more(one: Finding, than: Finding) -> float:
         left = whole.after(than.explanation.fit, than.explanation.fit)
         return left.linear([one.explanation.fit]).gain
@@ -264,12 +270,13 @@ def _row(f: Finding, scene: ModelOnRecord, count: int, role: str, whole: Residua
     )  # fmt: skip
 
 
-def _ranked(findings: Sequence[Finding], scene: ModelOnRecord, count: int) -> list[Finding]:
+def _rank(findings: Sequence[Finding], scene: ModelOnRecord, count: int) -> list[Finding]:
     """Best finding of each kind of region, significant ones only, best first."""
     best: dict[tuple[str, ...], Finding] = {}
+    # best finding in each region
     for finding in _in_order([f for f in findings if _p_value(f, scene, count) < levels().failure], scene):
         best.setdefault(_region(finding), finding)
-    return _settled(list(best.values()), scene)
+    return _place_second(list(best.values()), scene)
 
 
 def _in_order(findings: Sequence[Finding], scene: ModelOnRecord) -> list[Finding]:
@@ -278,6 +285,7 @@ def _in_order(findings: Sequence[Finding], scene: ModelOnRecord) -> list[Finding
     A finding that leaves several times as much of the error as another cannot come before it. The likelihood
     treats a slow error as colored noise, so the share of the error that is explained counts, too.
     """
+    # share of the error that each finding leaves
     left = [1.0 - scene.evidence.share(f.explanation.fit) for f in findings]
     bound = _MUCH * min(left, default=0.0) + 0.01
     order = sorted(range(len(findings)), key=lambda k: (left[k] > bound, -findings[k].net(scene)))
@@ -300,13 +308,14 @@ def _region(finding: Finding) -> tuple[str, ...]:
     return finding.dimension, kind, str(owner)
 
 
-def _settled(ranked: list[Finding], scene: ModelOnRecord) -> list[Finding]:
+def _place_second(ranked: list[Finding], scene: ModelOnRecord) -> list[Finding]:
     """Move a finding of another dimension before a leading place.
 
     A place is another view of what the other dimensions show. It comes after the best of them.
     """
     if not ranked or ranked[0].dimension != "place":
         return ranked
+    # a place leads only if nothing else explains 90 % as much
     lead = scene.evidence.share(ranked[0].explanation.fit)
     for other in ranked:
         if other.dimension != "place" and scene.evidence.share(other.explanation.fit) >= _EQUAL * lead:

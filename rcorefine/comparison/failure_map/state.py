@@ -91,6 +91,7 @@ def estimated_motion(scene: ModelOnRecord, index: int) -> MotionEstimate:
     assert scene.places is not None
     A, place, ny = scene.places.A, scene.places.places[index], scene.n_outputs
     n = len(A)
+    # augmented state: model and an unknown force as a first-order process
     Phi, G, _ = discretize(A, place.act[:, None], scene.dt, "zoh")
     # a force of unit output, over the record
     unit = np.where(np.arange(scene.n_samples) % 7 < 3, 1.0, -1.0)
@@ -98,10 +99,12 @@ def estimated_motion(scene: ModelOnRecord, index: int) -> MotionEstimate:
     F = np.block([[Phi, G / size], [np.zeros((1, n)), np.full((1, 1), _MEMORY)]])
     H = np.hstack([scene.places.C, place.output[:, None] / size]) / scene.scale
     best = MotionEstimate(scene.states, np.zeros(scene.n_samples), -np.inf)
+    # force level by maximum likelihood
     for level in _FORCE_LEVELS:
         force = (1 - _MEMORY**2) * level**2
         Q = 1e-12 * force / (n + 1) * np.eye(n + 1)  # no direction without any noise
         Q[n, n] += force
+        # Kalman filter and smoother on the residual
         found = smooth(F, H, Q, _NOISE**2 * np.eye(ny), scene.evidence.with_offset.T, reset=scene.reset)
         if np.isfinite(found.power) and found.power > 0:
             # noise and force in proportion: their common size is the likeliest one
@@ -160,6 +163,7 @@ def residual_force(comparison: Comparison, index: int = 0, place: str | None = N
         return None
     ports = scene.places.places
     tried = [i for i, port in enumerate(ports) if place in (None, port.name)]
+    # the place whose unknown force is most likely
     estimates = [(estimated_motion(scene, i), ports[i]) for i in tried]
     estimate, port = max(estimates, key=lambda pair: pair[0].likelihood)
     d, v = _motion_at(scene, port, estimate.states)
@@ -173,7 +177,7 @@ def _motion_at(scene: ModelOnRecord, port: Port, states: Array) -> tuple[Array, 
     return port.position @ states + port.position_input @ w, port.velocity @ states + port.velocity_input @ w
 
 
-def _between(scene: ModelOnRecord, signal: Array, factor: int) -> Array:
+def _interpolate(scene: ModelOnRecord, signal: Array, factor: int) -> Array:
     """Interpolate a motion to several values per sample.
 
     A force that jumps does so between samples.
@@ -311,7 +315,7 @@ def _columns(scene: ModelOnRecord) -> list[tuple[int, Port, _Laws]]:
                 continue  # the same place by another name
             seen.append(rows)
             d, v = _motion_at(scene, p, estimated_motion(scene, i).states)
-            laws = _laws_at(p, _between(scene, d, _FINE), _between(scene, v, _FINE))
+            laws = _laws_at(p, _interpolate(scene, d, _FINE), _interpolate(scene, v, _FINE))
             if laws:
                 columns = iter(scene.forced([(i, force) for _, forces in laws for force in forces]))
                 scene.laws.append((i, p, [(law, [next(columns) for _ in forces]) for law, forces in laws]))
@@ -325,18 +329,19 @@ def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
     found: list[Finding] = []
     evidence, count = scene.evidence, len(scene.places.places)
     leaders: list[tuple[int, Port, ForceLaw, Explanation, int]] = []
+    # each place: best nonlinear laws by likelihood, then linear and general forces
     for index, place, laws in _columns(scene):
         curved = [
             (law, columns)
             for law, columns in laws
-            if law.code != _LINEAR and (len(columns) == 1 or _apart(scene, *columns))
+            if law.code != _LINEAR and (len(columns) == 1 or _directions_differ(scene, *columns))
         ]
         tried = len(laws) * count
         judged = [
-            (curved[k][0]._replace(resists=bool(one.values.sum() > 0)), one)
-            for k, one in evidence.best_of([columns for _, columns in curved])
+            (curved[k][0]._replace(resists=bool(explanation.values.sum() > 0)), explanation)
+            for k, explanation in evidence.best_of([columns for _, columns in curved])
         ]
-        found += [_finding(place, law, one, tried) for law, one in judged]
+        found += [_finding(place, law, explanation, tried) for law, explanation in judged]
         if judged:
             leaders.append((index, place, *max(judged, key=lambda pair: pair[1].gain), tried))
         straight = [column for law, columns in laws for column in columns if law.code == _LINEAR]
@@ -350,9 +355,10 @@ def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
         change = f"change of the linear coefficients at {name} alone"
         found.append(_at_place(scene, f"force at {name}", "hidden force", "force", force, every, name))
         found.append(_at_place(scene, at, "linear force", "linear force", change, straight, name))
-    for index, place, law, one, tried in sorted(leaders, key=lambda row: -row[3].gain)[:2]:
-        if one.gain > _WORTH:
-            found.append(_finding(place, *_settled(scene, index, law, one), tried))
+    # the two best laws again, in a loop with the motion that they cause
+    for index, place, law, explanation, tried in sorted(leaders, key=lambda row: -row[3].gain)[:2]:
+        if explanation.gain > _WORTH:
+            found.append(_finding(place, *_fit_in_loop(scene, index, law, explanation), tried))
     return found
 
 
@@ -360,18 +366,19 @@ def _at_place(
     scene: ModelOnRecord, where: str, measure: str, kind: str, what: str, columns: list[Array], place: str
 ) -> Finding:
     assert scene.places is not None
-    one, tried = scene.evidence.linear(columns), len(scene.places.places)
-    share = 100 * scene.evidence.share_of_error(scene.evidence.whole(one))
+    explanation, tried = scene.evidence.linear(columns), len(scene.places.places)
+    share = 100 * scene.evidence.share_of_error(scene.evidence.whole(explanation))
     text = f"A {what} would explain {share:.3g} % of the error."
     values = {"place": place, "kind": kind}
-    return Finding("place", where, measure, one, len(columns), tried, text, values)
+    return Finding("place", where, measure, explanation, len(columns), tried, text, values)
 
 
-def _apart(scene: ModelOnRecord, forward: Array, backward: Array) -> bool:
+def _directions_differ(scene: ModelOnRecord, forward: Array, backward: Array) -> bool:
     """Return whether force steps that differ by direction can be identified.
 
     They must show as more than a constant offset.
     """
+    # difference of the two steps beyond a constant offset
     both = forward - backward
     left = scene.evidence.without_nuisance(both)
     if np.linalg.norm(left) < _SEEN * np.linalg.norm(both):
@@ -380,24 +387,25 @@ def _apart(scene: ModelOnRecord, forward: Array, backward: Array) -> bool:
     return bool(min(steps * np.sign(steps.sum())) > 0 and np.ptp(steps) > _UNLIKE * np.abs(steps).max())
 
 
-def _settled(
-    scene: ModelOnRecord, index: int, law: ForceLaw, one: Explanation
+def _fit_in_loop(
+    scene: ModelOnRecord, index: int, law: ForceLaw, explanation: Explanation
 ) -> tuple[ForceLaw, Explanation]:
     """The law in the loop: its force follows the motion that it causes itself."""
     assert scene.places is not None
     if (law.dof > 1 and (law.axis == "x" or not law.kinked)) or law.code == _ROOT:
-        return law, one
+        return law, explanation
     A, C, port = scene.places.A, scene.places.C, scene.places.places[index]
     steps = _STEPS if scene.n_samples < _LONG else _COARSE
-    motion = _between(scene, _motion_at(scene, port, scene.states)[law.axis != "d"], _STEPS)
+    motion = _interpolate(scene, _motion_at(scene, port, scene.states)[law.axis != "d"], _STEPS)
     row = port.position if law.axis == "d" else port.velocity
+    # fine steps within the sample; the table gives state, motion and outputs at once
     Phi, G, _ = discretize(A, port.act[:, None], scene.dt / steps, "zoh")
     step = np.hstack([Phi, G])
     table = np.ascontiguousarray(np.vstack([step, row @ step, np.hstack([C, port.output[:, None]])]))
 
     def shape(point: Array) -> Array:
         out = np.zeros((scene.n_samples, scene.n_outputs))
-        factor = float(one.values[0] * (1.0 + point[0]))
+        factor = float(explanation.values[0] * (1.0 + point[0]))
         size = float(law.size * np.exp(point[1])) if law.kinked else float(law.size)
         loop(table, motion, steps, scene.reset, law.code, factor, size, out)
         return np.asarray(out.T / scene.scale)
@@ -406,11 +414,12 @@ def _settled(
         start = np.zeros(1 + law.kinked)
         first = shape(start)
         if not np.isfinite(first).all() or np.abs(first).max() > 1e3:
-            return law, one
+            return law, explanation
+        # fit factor and limit by Gauss-Newton
         found = scene.evidence.descended(shape, start)
-    if not np.isfinite(found.gain) or found.gain <= one.gain:
-        return law, one
-    law = law._replace(resists=bool(one.values[0] * (1.0 + found.values[0]) > 0))
+    if not np.isfinite(found.gain) or found.gain <= explanation.gain:
+        return law, explanation
+    law = law._replace(resists=bool(explanation.values[0] * (1.0 + found.values[0]) > 0))
     if law.kinked:
         g = float(law.size * np.exp(found.values[1]))
         where = law.where.replace(f"{law.size:.3g}", f"{g:.3g}")
@@ -441,8 +450,8 @@ def loop(table, motion, steps, reset, code, factor, size, out):  # type: ignore[
             added = after[n]
 
 
-def _finding(place: Port, law: ForceLaw, one: Explanation, tried: int) -> Finding:
+def _finding(place: Port, law: ForceLaw, explanation: Explanation, tried: int) -> Finding:
     text = f"The {place.acts_by} that is missing at {place.name} {law.meaning} ({law.where})."
     values = {"place": place.name, "law": law.name, "kind": "state", "axis": law.axis}
     where, values = f"{place.name}, {law.where}", values | (law.values or {})
-    return Finding("state", where, "residual force", one, law.dof, tried, text, values)
+    return Finding("state", where, "residual force", explanation, law.dof, tried, text, values)

@@ -32,6 +32,7 @@ _LOUDER = 2.0  # times the error elsewhere, from which on a stretch is one
 def drifts(scene: ModelOnRecord) -> list[Finding]:
     """Offsets and slow drifts of each output, beside what the dynamics can do."""
     found = []
+    # polynomials, and half-waves for long records
     t = np.linspace(-1.0, 1.0, scene.n_samples)
     shapes = [("drift", t[None]), ("drift", np.array([t, t * t]))]
     if scene.n_samples >= 400:
@@ -40,14 +41,14 @@ def drifts(scene: ModelOnRecord) -> list[Finding]:
         name, where = scene.named(i), f"whole record, {scene.named(i)}"
         tried = []
         for measure, rows in shapes:
-            one = scene.evidence.linear([scene.only(i, row) for row in rows])
-            height = float(np.ptp(one.values @ rows) * scene.scale[i, 0])
+            explanation = scene.evidence.linear([scene.only(i, row) for row in rows])
+            height = float(np.ptp(explanation.values @ rows) * scene.scale[i, 0])
             text = (
                 f"{name} drifts from the model by {height:.3g}{scene.unit(i)} over the record: sensor drift, "
                 "or a slow disturbance."
             )
             values = {"output": name, "height": height, "kind": "drift"}
-            tried.append(Finding("time", where, measure, one, len(rows), 3, text, values))
+            tried.append(Finding("time", where, measure, explanation, len(rows), 3, text, values))
         found += [max(tried, key=lambda finding: finding.net(scene)), _offset(scene, i)]
     return found
 
@@ -60,7 +61,7 @@ def _offset(scene: ModelOnRecord, i: int) -> Finding:
     height = float(raw @ constant[i]) / power if power > _TOLD * scene.n_samples else 0.0
     # all rows are judged beside constant offsets, so that it explains nothing of the residual
     gain = -evidence.gain(-scene.only(i, height * constant[i]))
-    one = Explanation(np.zeros_like(scene.residual), gain, np.array([height]), height * constant)
+    explanation = Explanation(np.zeros_like(scene.residual), gain, np.array([height]), height * constant)
     size, name, unit = height * scene.scale[i, 0], scene.named(i), scene.unit(i)
     mean = float(np.mean(scene.measured[i] - scene.run[i])) * scene.scale[i, 0]
     text = f"{name} differs from the model by a constant {size:+.3g}{unit}"
@@ -70,13 +71,14 @@ def _offset(scene: ModelOnRecord, i: int) -> Finding:
         text = f"With another initial state, {text} (its mean error is {mean:+.3g}{unit}): "
         text += "a sensor offset, a constant force, or slow dynamics."
     values = {"output": name, "offset": size, "kind": "offset"}
-    return Finding("time", f"whole record, {name}", "offset", one, 1, 1, text, values)
+    return Finding("time", f"whole record, {name}", "offset", explanation, 1, 1, text, values)
 
 
 # ---------------------------------------------------------------------- delay, sign, clipping
 def delays(scene: ModelOnRecord) -> list[Finding]:
     """A constant delay of all outputs, or of one."""
     found = []
+    # whole and fractional delays in samples, both signs
     grid = np.concatenate([np.arange(-3.0, 3.01, 0.25), np.arange(4.0, 13.0), [16.0, 20.0, 25.0, 32.0]])
     grid = grid[np.abs(grid) > 1e-9]
     every = list(range(scene.n_outputs))
@@ -86,8 +88,8 @@ def delays(scene: ModelOnRecord) -> list[Finding]:
         def late(values: Array, mask: NDArray[np.bool_] = mask) -> Array:
             return np.array([mask * (scene.late(v) - scene.run) for v in values])
 
-        one = scene.evidence.searched(late, grid)
-        samples = float(one.values[0])
+        explanation = scene.evidence.searched(late, grid)
+        samples = float(explanation.values[0])
         seconds, word, cause = samples * scene.dt, "later", "a delay in the signal path"
         if samples < 0:
             word, cause = "earlier", "different clocks"
@@ -99,7 +101,9 @@ def delays(scene: ModelOnRecord) -> list[Finding]:
             f"{cause}, or other dynamics."
         )
         values = {"delay": seconds, "samples": samples, "output": who, "kind": "delay"}
-        found.append(Finding("time", f"whole record, {who}", "delay", one, 1, grid.size, text, values))
+        found.append(
+            Finding("time", f"whole record, {who}", "delay", explanation, 1, grid.size, text, values)
+        )
     return found
 
 
@@ -109,8 +113,8 @@ def signs(scene: ModelOnRecord) -> list[Finding]:
     for i in range(scene.n_outputs):
         # the initial state was estimated with this output as it is: it may be another one
         columns = [scene.only(i, scene.run[i]), *scene.free(i)]
-        one, name = scene.evidence.linear(columns), scene.named(i)
-        factor = 1.0 + float(one.values[0])
+        explanation, name = scene.evidence.linear(columns), scene.named(i)
+        factor = 1.0 + float(explanation.values[0])
         values: dict[str, object] = {"output": name, "factor": factor}
         if -1.3 < factor < -0.7:
             dimension, where, measure = "time", f"whole record, {name}", "sign"
@@ -120,7 +124,7 @@ def signs(scene: ModelOnRecord) -> list[Finding]:
             text = f"{name} is {factor:.4g} times the model output at all frequencies: a gain is wrong."
             values |= {"low": 0.0, "high": np.inf}
         values["kind"] = measure
-        found.append(Finding(dimension, where, measure, one, len(columns), 1, text, values))
+        found.append(Finding(dimension, where, measure, explanation, len(columns), 1, text, values))
     return found
 
 
@@ -140,7 +144,7 @@ def pinned(scene: ModelOnRecord) -> list[Finding]:
             if runs < 4 or runs < 3.0 * usual * at.sum() or at.mean() > _RESTING or not cut_off(y, limit):
                 continue
             chance = float(stats.binom.logsf(runs - 1, int(at.sum()), min(usual, 1.0)))
-            one = Explanation(scene.only(i, scene.residual[i] * at), -2.0 * chance, np.array([limit]))
+            explanation = Explanation(scene.only(i, scene.residual[i] * at), -2.0 * chance, np.array([limit]))
             name, level = scene.named(i), f"{limit:.4g}{scene.unit(i)}"
             text = (
                 f"{name} is constant at {level} in {at.sum()} samples: the record is clipped at the end of "
@@ -148,7 +152,7 @@ def pinned(scene: ModelOnRecord) -> list[Finding]:
             )
             values = {"output": name, "limit": limit, "side": side, "kind": "pinned"}
             where = f"where {name} reaches {level}"
-            found.append(Finding("time", where, "clipping", one, 1, 2, text, values))
+            found.append(Finding("time", where, "clipping", explanation, 1, 2, text, values))
     return found
 
 
@@ -171,20 +175,20 @@ def clipping(scene: ModelOnRecord) -> list[Finding]:
             def flattened(values: Array, i: int = i, cut: _Cut = cut) -> Array:
                 return np.array([scene.only(i, cut(scene.run[i], g)) for g in values])
 
-            one = scene.evidence.searched(flattened, np.quantile(reach, quantiles))
-            taken = cut(run, one.values[-1])
+            explanation = scene.evidence.searched(flattened, np.quantile(reach, quantiles))
+            taken = cut(run, explanation.values[-1])
             ends = [s * _flat(s * y, s * run, s * taken < 0) for s in (-1, 1) if np.any(s * taken < 0)]
             if not ends or not np.isfinite(ends).all():
                 continue
             limits = [end * scene.scale[i, 0] for end in ends]
-            name, level = scene.named(i), " and ".join(f"{one:.3g}" for one in limits) + scene.unit(i)
+            name, level = scene.named(i), " and ".join(f"{limit:.3g}" for limit in limits) + scene.unit(i)
             text = (
                 f"{name} is clipped at {level} ({100 * np.mean(taken != 0):.2g} % of the time): the range of "
                 "the sensor is exceeded."
             )
             values = {"output": name, "limit": limits[-1], "side": side, "kind": "clipping"}
             where = f"where {name} reaches {level}"
-            found.append(Finding("time", where, "clipping", one, 1, 26, text, values))
+            found.append(Finding("time", where, "clipping", explanation, 1, 26, text, values))
     return found
 
 
@@ -207,11 +211,11 @@ def stretches(scene: ModelOnRecord) -> list[Finding]:
     for i in range(scene.n_outputs):
         masked = np.zeros(scene.n_samples, dtype=bool)
         for _ in range(_MOST):
-            one = _stretch(scene, i, masked)
-            if one is None:
+            finding = _stretch(scene, i, masked)
+            if finding is None:
                 break
-            found.append(one)
-            a, b = one.values["span"]
+            found.append(finding)
+            a, b = finding.values["span"]
             masked[max(a - 2, 0) : b + 2] = True
     return found
 
@@ -220,6 +224,7 @@ def _stretch(scene: ModelOnRecord, i: int, masked: NDArray[np.bool_]) -> Finding
     N, order = scene.n_samples, scene.evidence.order
     r = scene.residual[i]
     best: tuple[float, int, int, Array] | None = None
+    # loudest stretch of the residual, and of its innovations
     for energy in (r**2, innovations(scene.evidence.whitener.filters[i], r) ** 2):
         a0, b0 = _loudest(np.where(masked, np.nan, energy))
         for _ in range(3):
@@ -229,11 +234,11 @@ def _stretch(scene: ModelOnRecord, i: int, masked: NDArray[np.bool_]) -> Finding
             # what happened there must not bend the initial state, nor the noise model
             left = scene.evidence.outside(inside)[i]
             own, _ = autoregression(np.where(inside[i], 0.0, left), order=order)
-            edges = _edges(np.where(masked, np.nan, _both_ways(own, left)), a0, b0)
+            edges = _edges(np.where(masked, np.nan, _smaller_innovations(own, left)), a0, b0)
             if edges == (a0, b0):
                 break
             a0, b0 = edges
-        worth = _worth(r, left, masked, a0, b0, order)
+        worth = _likelihood_gain(r, left, masked, a0, b0, order)
         if best is None or worth > best[0]:
             best = worth, a0, b0, left
     assert best is not None
@@ -246,7 +251,7 @@ def _stretch(scene: ModelOnRecord, i: int, masked: NDArray[np.bool_]) -> Finding
     # the stretch is brought down to the level of the rest, not to nothing
     fit = r - left
     fit[a0:b0] += left[a0:b0] * max(1.0 - outside_level / max(inside_level, 1e-300), 0.0)
-    one, dof = Explanation(scene.only(i, fit), worth, np.array([inside_level])), 3
+    explanation, dof = Explanation(scene.only(i, fit), worth, np.array([inside_level])), 3
     seen, measure, stuck = scene.measured[i], "error level", None
     text = "the error is larger than anywhere else: a disturbance or a change"
     hangs = _jumps(seen, a0, b0)
@@ -257,7 +262,7 @@ def _stretch(scene: ModelOnRecord, i: int, masked: NDArray[np.bool_]) -> Finding
         stuck = stuck if -1.25 < stuck.values[0] < -0.75 else None
         hangs = seen[a0:b0].std() < _STILL * np.delete(seen, slice(a0, b0)).std()
     if stuck is not None and stuck.gain > worth:
-        one, dof = Explanation(stuck.fit, stuck.gain, one.values), 4
+        explanation, dof = Explanation(stuck.fit, stuck.gain, explanation.values), 4
     if stuck is not None or hangs:
         measure = "dropout"
         text = "the output does not follow the model at all: the record dropped out or was stuck"
@@ -269,10 +274,10 @@ def _stretch(scene: ModelOnRecord, i: int, masked: NDArray[np.bool_]) -> Finding
     values = {"start": start, "stop": stop, "output": name, "span": (a0, b0), "ratio": times}
     # stretches that do not overlap much, of all lengths, are chosen from
     where, tried = f"{start:.4g} ... {stop:.4g} s, {name}", 4 * N // _SHORTEST
-    return Finding("time", where, measure, one, dof, tried, text, values)
+    return Finding("time", where, measure, explanation, dof, tried, text, values)
 
 
-def _both_ways(own: Array, left: Array) -> Array:
+def _smaller_innovations(own: Array, left: Array) -> Array:
     """Return the smaller squared innovations, forward or backward in time.
 
     So the memory of the filter does not reach over both edges of a stretch.
@@ -307,6 +312,7 @@ def _loudest(energy: Array) -> tuple[int, int]:
     total, count = _sums(energy)
     n, best, where = energy.size, -np.inf, (0, _SHORTEST)
     length = float(_SHORTEST)
+    # lengths grow by a quarter, starts move by an eighth of the length
     while length <= 0.9 * n:
         size = round(length)
         a = np.arange(0, n - size + 1, max(1, size // 8))
@@ -334,7 +340,7 @@ def _edges(energy: Array, a: int, b: int) -> tuple[int, int]:
     return a, b
 
 
-def _worth(r: Array, left: Array, masked: NDArray[np.bool_], a: int, b: int, order: int) -> float:
+def _likelihood_gain(r: Array, left: Array, masked: NDArray[np.bool_], a: int, b: int, order: int) -> float:
     """Return twice the log-likelihood gain of a level of its own in a..b.
 
     Heavy tails are bounded.

@@ -100,6 +100,7 @@ class EffectsSetup(CoefficientSetup):
     def milestones(self) -> tuple[int, ...]:  # type: ignore[override]
         """Numbers of samples at which the first ones are gone over."""
         lay, last = self.layout, self.settings.start_samples
+        # first stretch: enough outputs for states and coefficients; then twice as long each time
         lengths = [min(max(_FIRST, 3 * (lay.n + lay.p) // max(1, lay.ny) + lay.n), last)]
         while lengths[-1] < last:
             lengths.append(min(2 * lengths[-1], last))
@@ -114,24 +115,28 @@ class EffectsSetup(CoefficientSetup):
         lay, s = self.layout, self.structure(memory.widths)
         dt, hold = self.settings.dt, self.settings.hold
         step = dt / self.substeps
+        # discretize model and derivatives at the substep
         disc = s.discretize(memory.centre, step, pieces=s.jumps)
         n, nu = lay.n, lay.nu
         forces = _forces(self, tuple(memory.sizes.tolist()))
         head, floor = self.head(memory, self.bounds_about(memory.origin), *forces)
         q = disc.linear.size
         sizes = np.array([n, lay.p, nu, lay.ny, q, lay.lag, lay.m, lay.kept], dtype=np.int64)
+        # linear effects: the matrices hold all of them, one step per sample
         if self.fast:
             M, dM = held_columns(disc.M, n, nu, hold)[0], held_columns(disc.dM[0], n, nu, hold)
             fixed = np.concatenate(
                 [*head, M.ravel(), disc.O.ravel(), dM.ravel(), disc.dO.ravel(), disc.linear]
             )
             return Kernel(sizes, fixed, None, floor)
+        # nonlinear effects: march over substeps, with forces by their ports
         model = setting(s, memory.centre, step, True).model
         # the filter fills in its coefficients
         model = model._replace(
             ports=model.ports._replace(values=model.ports.values.copy()),
             sensors=model.sensors._replace(values=model.sensors.values.copy()),
         )
+        # effects and delays at the inputs, one row each: law, channel, columns in theta
         r = len(s.input_statics)
         statics, levels = np.zeros((r, 6), dtype=np.int64), np.zeros((r, 4))
         statics[:, 2:] = -1
@@ -175,6 +180,7 @@ class EffectsSetup(CoefficientSetup):
         lower = np.array([q.lower for q in s.parameters])
         upper = np.array([q.upper for q in s.parameters])
         for i, q in enumerate(s.parameters):
+            # a delay stays within the samples that are kept
             if s.effects[q.effect].spec.delays:
                 upper[i] = min(upper[i], (_LAG - 4) * self.settings.dt)
         with np.errstate(invalid="ignore"):
@@ -185,6 +191,7 @@ class EffectsSetup(CoefficientSetup):
     def bounds_about(self, origin: Array) -> tuple[Array, Array]:
         """Bounds of the coefficients; those that shape a law stay positive."""
         lower, upper = self.bounds
+        # widths and gaps: no less than a thousandth of their starting value
         shapes = np.array([self.is_shape(i) for i in range(lower.size)], dtype=bool)
         floor = np.where(shapes & (lower >= 0) & (origin > 0), 1e-3 * origin, -np.inf)
         return np.maximum(lower, floor), upper
@@ -226,11 +233,14 @@ def _forces(setup: EffectsSetup, sizes: tuple[float, ...]) -> tuple[Array, Array
     """Return how unknown forces and missing inputs move the state per sample."""
     s, n, n_w = setup.bare, setup.layout.n, setup.layout.nu - 1
     level = np.array([size if size > 0 else 1.0 for size in sizes[:n_w]])
+    # matrices without the effects; a shape has no value that removes it and is set to 1
     lower, upper = setup.bounds
     calm = np.clip(np.where([setup.is_shape(i) for i in range(setup.layout.p)], 1.0, 0.0), lower, upper)
     m = s.matrices(calm)
+    # missing inputs: what an input of its usual size moves within one sample
     inputs = m.B[:, :n_w] * level * setup.settings.dt
     top = max((float(np.linalg.norm(column)) for column in inputs.T), default=0.0) or setup.settings.dt
+    # unknown forces: one at each port, as strong as the strongest input
     acts = []
     for port in s.model.ports:
         size = float(np.linalg.norm(port.act))
@@ -310,25 +320,28 @@ def go_over(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory
 
     It is as if the best coefficients had been known from the first sample of the stretch.
     """
-    memory = _sized(setup, memory)
+    # sizes of signals, widths of laws, priors and the initial state follow from the samples so far
+    memory = _with_sizes(setup, memory)
     initial = _initial_state(setup, memory)
     memory = replace(memory, states=np.sqrt(np.diag(initial[1])))
     found: list[_Pass] = []
+    # descents from several starts; equal minima count once
     main, far = _starts(setup, memory)
-    for start in main + _promising(setup, memory, initial, far):
+    for start in main + _best_starts(setup, memory, initial, far):
         descent = _descend(setup, memory, initial, start, _PASSES if not found else _FEW)
-        if descent is not None and not any(_same(setup, descent, other) for other in found):
+        if descent is not None and not any(_same_minimum(setup, descent, other) for other in found):
             found.append(descent)
     if not found:  # not even the initial model stays bounded: leave it to the guard
         return replace(memory, rounds=memory.rounds + 1, kernel=None)
-    found.sort(key=lambda one: one.cost)
+    # the best minimum is refined; the next ones serve as starts of the longer stretch
+    found.sort(key=lambda descent: descent.cost)
     best = _descend(setup, memory, initial, found[0].memory.centre, _PASSES) or found[0]
-    _judge_means(setup, memory, initial, best)
-    rivals = np.array([one.memory.centre for one in found[1 : 1 + _RIVALS]]).reshape(-1, setup.layout.p)
-    return replace(_adopted(setup, best, memory), rivals=rivals)
+    _warn_of_offsets(setup, memory, initial, best)
+    rivals = np.array([run.memory.centre for run in found[1 : 1 + _RIVALS]]).reshape(-1, setup.layout.p)
+    return replace(_take_last_step(setup, best, memory), rivals=rivals)
 
 
-def _judge_means(
+def _warn_of_offsets(
     setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], best: _Pass
 ) -> None:
     """Warn if the first samples have a constant part that no effect takes.
@@ -339,21 +352,26 @@ def _judge_means(
     away turns the constant into a slow motion: where it is the larger part of what the initial model
     leaves, a fit without it must not be decisively better.
     """
+    # an offset that an effect estimates needs no warning
     taken = {effect.place for effect in setup.effects if effect.spec.holds_constant}
     labels = setup.model.output_labels
     least = np.array([np.inf if label in taken else _FLAT for label in labels]) * memory.sizes[-len(labels) :]
+    # mean of the residual against its standard error, for colored noise
     mean, error, _ = _means(best.left)
     suspect = np.abs(mean) > np.maximum(_FAR * error, least)
-    other = _over(setup, memory, initial, memory.origin, best.power)
+    # compare with the initial coefficients: an offset may hide in a distorted fit
+    other = _run_about(setup, memory, initial, memory.origin, best.power)
     if other is not None:
         mean, _, sd = _means(other.left)
         large = ~suspect & (np.abs(mean) > np.maximum(sd, least))
+        # fit again without that mean: does the likelihood say that it was an offset?
         for _ in range(2 * bool(large.any())):
             mean = np.where(large, _means(other.left)[0], 0.0)
-            memory = _sized(setup, replace(memory, outputs=memory.outputs - mean))
+            memory = _with_sizes(setup, replace(memory, outputs=memory.outputs - mean))
             initial = _initial_state(setup, memory)
             other = _descend(setup, memory, initial, other.memory.centre, _FEW) or other
         _, error, sd = _means(other.left)
+        # colored noise: fewer independent samples than samples
         wide = max(1.0, float(np.max(len(best.left) * (error / np.maximum(sd, 1e-300)) ** 2)))
         suspect |= large & (best.cost - other.cost > _FAR**2 * wide)
     for i in np.flatnonzero(suspect & (len(best.left) >= _ENOUGH)):
@@ -374,13 +392,14 @@ def _means(left: Array) -> tuple[Array, Array, Array]:
     for i, row in enumerate(left.T):
         row = row[np.isfinite(row)]
         if row.size:
+            # standard error of a mean: sqrt(S(0) / N), the spectrum at zero from the autoregressive model
             a, variance = autoregression(row)
             error = np.sqrt(variance / row.size) / max(abs(a.sum()), 1e-300)
             found[:, i] = row.mean(), error, row.std()
     return found[0], found[1], found[2]
 
 
-def _promising(
+def _best_starts(
     setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], starts: list[Array]
 ) -> list[Array]:
     """The few of many starts that are best one step further."""
@@ -388,19 +407,20 @@ def _promising(
     R = np.maximum(memory.sizes[-setup.layout.ny :] ** 2, 1e-300)
     found: list[tuple[float, int, Array]] = []
     for i, start in enumerate(starts):
-        one = _over(setup, memory, initial, np.clip(start, lower, upper), R)
-        if one is None:
+        # cost at the start and one Gauss-Newton step further
+        trial = _run_about(setup, memory, initial, np.clip(start, lower, upper), R)
+        if trial is None:
             continue
-        aim = np.clip(one.memory.centre + one.step, lower, upper)
-        further = _over(setup, memory, initial, aim, one.power)
-        if further is not None and further.cost < one.cost:
+        aim = np.clip(trial.memory.centre + trial.step, lower, upper)
+        further = _run_about(setup, memory, initial, aim, trial.power)
+        if further is not None and further.cost < trial.cost:
             found.append((further.cost, i, aim))
         else:
-            found.append((one.cost, i, one.memory.centre))
+            found.append((trial.cost, i, trial.memory.centre))
     return [point for _, _, point in sorted(found, key=lambda entry: entry[:2])[:_RIVALS]]
 
 
-def _same(setup: EffectsSetup, one: _Pass, other: _Pass) -> bool:
+def _same_minimum(setup: EffectsSetup, one: _Pass, other: _Pass) -> bool:
     """Return whether two descents ended in the same minimum."""
     spread = np.sqrt(np.diag(setup.layout.view(other.memory.packed, "Pt")))
     return bool(np.all(np.abs(one.memory.centre - other.memory.centre) < 3.0 * spread))
@@ -412,15 +432,18 @@ def _descend(
     lower, upper = setup.bounds_about(memory.origin)
     ny = setup.layout.ny
     R = np.maximum(memory.sizes[-ny:] ** 2, 1e-300)
-    best = _over(setup, memory, initial, np.clip(start, lower, upper), R)
+    # noise variance first from the size of the outputs, then from the residual of the first pass
+    best = _run_about(setup, memory, initial, np.clip(start, lower, upper), R)
     if best is None:
         return None
-    best = _over(setup, memory, initial, best.memory.centre, best.power) or best
+    best = _run_about(setup, memory, initial, best.memory.centre, best.power) or best
     damping = 1.0
+    # Gauss-Newton with a damped step, inside the bounds
     for _ in range(passes):
         aim = np.clip(best.memory.centre + damping * best.step, lower, upper)
-        trial = _over(setup, memory, initial, aim, best.power)
+        trial = _run_about(setup, memory, initial, aim, best.power)
         if trial is None or trial.cost >= best.cost:
+            # no descent: shorten the step, or stop where it is small against the deviations
             spread = np.sqrt(np.diag(setup.layout.view(best.memory.packed, "Pt")))
             if damping < 0.02 or np.all(np.abs(damping * best.step) < 1e-2 * spread):
                 break
@@ -433,12 +456,13 @@ def _descend(
     return best
 
 
-def _over(
+def _run_about(
     setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], theta: Array, R: Array
 ) -> _Pass | None:
     """Run over the stretch about `theta`; None where that leaves all bounds."""
     lay = setup.layout
     packed = np.zeros(lay.size)
+    # start at theta; delta: the mean of the prior relative to it
     lay.view(packed, "theta")[:] = theta
     lay.view(packed, "delta")[:] = memory.origin - theta
     lay.view(packed, "x")[:], lay.view(packed, "Pb")[:] = initial
@@ -448,6 +472,7 @@ def _over(
     kernel = setup.compile(about)
     if not np.isfinite(kernel.fixed).all() and not np.isfinite(kernel.fixed[4 * lay.p :]).all():
         return None
+    # the noise is the same in all passes that are compared
     fixed = kernel.fixed.copy()
     floor = np.maximum(kernel.floor, R)
     fixed[floor_at(lay)] = floor
@@ -457,6 +482,7 @@ def _over(
         return None
     cost, count = lay.view(packed, "cost")
     power = np.where(count > 0, cost / np.maximum(count, 1.0), R)
+    # minus twice the log-likelihood, noise variances concentrated out, plus the prior
     total = float(np.sum(count * np.log(np.maximum(power, kernel.floor) + 1e-300)))
     away = (theta - memory.origin) / memory.spread
     step = lay.view(packed, "delta").copy()
@@ -465,28 +491,31 @@ def _over(
     return _Pass(about, step, power, total + float(away @ away), left)
 
 
-def _adopted(setup: EffectsSetup, best: _Pass, memory: CoefficientMemory) -> CoefficientMemory:
+def _take_last_step(setup: EffectsSetup, best: _Pass, memory: CoefficientMemory) -> CoefficientMemory:
     """Memory after the best pass, its last step taken."""
     lay = setup.layout
     lower, upper = setup.bounds_about(memory.origin)
     found = best.memory
     packed = found.packed
     theta = lay.view(packed, "theta")
+    # take the last step where the linearization holds: within three standard deviations
     step = np.clip(theta + best.step, lower, upper) - theta
     if np.all(np.abs(step) < 3.0 * np.sqrt(np.diag(lay.view(packed, "Pt"))) + 1e-300):
         theta += step
         lay.view(packed, "x")[:] += step @ lay.view(packed, "S")
     lay.view(packed, "delta")[:] = 0.0
     lay.view(packed, "level")[:] = best.power
+    # noise level and count go on from the pass
     lay.view(packed, "count")[:] = lay.view(packed, "cost")[1]
     found = replace(found, centre=theta.copy(), rounds=memory.rounds + 1)
     return replace(found, kernel=setup.compile(found), discretized=found.discretized + 1)
 
 
-def _sized(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
+def _with_sizes(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
     """Sizes of signals, widths of laws and priors, from the samples so far."""
     inputs, outputs = memory.inputs, np.where(memory.use, memory.outputs, np.nan)
     with np.errstate(invalid="ignore"):
+        # root mean square of outputs and inputs, gaps left out
         count = np.maximum(memory.use.sum(axis=0), 1)
         y_size = np.sqrt(np.nansum(outputs**2, axis=0) / count)
     w_size = np.sqrt(np.mean(inputs**2, axis=0))
@@ -495,11 +524,11 @@ def _sized(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
     memory = replace(memory, widths=_widths(setup, memory))
     if memory.spread.size:
         return memory
-    memory = _shaped(setup, memory)
+    memory = _with_shapes(setup, memory)
     return replace(memory, spread=_prior(setup, memory))
 
 
-def _shaped(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
+def _with_shapes(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
     """Memory whose first coefficients shape their laws as the motion suggests."""
     from ...inference.starts import shape_starts
 
@@ -518,11 +547,13 @@ def _motion(setup: EffectsSetup, memory: CoefficientMemory) -> Any:
     from ...engine.structure import Structure
     from ...inference.starts import estimated_motion
 
-    data = Measurement(memory.inputs.T, _filled(memory).T, dt=setup.settings.dt, hold=setup.settings.hold)
+    data = Measurement(
+        memory.inputs.T, _bridge_gaps(memory).T, dt=setup.settings.dt, hold=setup.settings.hold
+    )
     return estimated_motion(Structure(setup.physical), np.zeros(0), data)
 
 
-def _filled(memory: CoefficientMemory) -> Array:
+def _bridge_gaps(memory: CoefficientMemory) -> Array:
     """Outputs with gaps bridged by straight lines, for sizes only."""
     outputs = memory.outputs.copy()
     grid = np.arange(len(outputs))
@@ -547,11 +578,13 @@ def _prior(setup: EffectsSetup, memory: CoefficientMemory) -> Array:
 
     It is declared, or follows from the nominal value, or from the sensitivity of the outputs.
     """
+    # prior: twice the nominal parameter; without one, from the effect on the outputs
     structure = setup.structure(memory.widths)
     spread = _LOOSE * setup.nominal
     engine = engine_on(setup, structure, memory.inputs, memory.outputs)
     run = engine.run(memory.origin, check=False)
     with np.errstate(all="ignore"):
+        # rms sensitivity of all outputs to each coefficient, relative to their size
         weights = 1.0 / memory.sizes[-setup.layout.ny :]
         trace = np.sqrt(np.mean((weights[:, None, None] * run.sensitivity) ** 2, axis=(0, 1)))
     for i, q in enumerate(structure.parameters):
@@ -570,6 +603,7 @@ def _initial_state(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[Arra
     """Mean and covariance of the state at the first sample."""
     lay = setup.layout
     structure = setup.structure(memory.widths)
+    # simulate without the force laws from rest, with the sensitivity to the initial state
     engine = engine_on(setup, structure, memory.inputs, memory.outputs)
     calm = memory.origin.copy()
     if structure.port_columns.size:
@@ -579,9 +613,11 @@ def _initial_state(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[Arra
     with np.errstate(all="ignore"):
         moving = np.sqrt(np.mean(np.nan_to_num(run.states) ** 2, axis=1))
         C = structure.matrices(calm).C
+        # states from the outputs, by the pseudo-inverse of C
         read = np.abs(np.linalg.pinv(C)) @ y_size
         shown = np.sqrt(np.mean((run.sensitivity / y_size[:, None, None]) ** 2, axis=(0, 1)))
     size = np.hypot(np.where(np.isfinite(moving), moving, 0.0), read)
+    # a state without a size: as large as would be seen at the outputs
     reach = np.where(np.isfinite(shown) & (shown > 0), 1.0 / np.where(shown > 0, shown, 1.0), 0.0)
     size = np.where(size > 0, 3.0 * size, 3.0 * reach)
     return np.zeros(lay.n), np.diag(size**2)
@@ -600,6 +636,7 @@ def _starts(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[list[Array]
         starts.append(memory.origin.copy())
     far: list[Array] = []
     if memory.rounds < _SCENARIOS:
+        # damage scenarios: each nominal parameter loses 35 or 70 %
         for i in np.flatnonzero(setup.nominal):
             for loss in _LOSSES:
                 start = memory.origin.copy()

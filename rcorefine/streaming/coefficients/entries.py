@@ -136,7 +136,9 @@ class EntriesSetup(CoefficientSetup):
         Where that diverges, the filter goes on as it was.
         """
         lay = self.layout
-        memory = _sized(self, memory)
+        # first samples give the sizes of signals and with them the prior
+        memory = _with_sizes(self, memory)
+        # filter as at the start, but about the present coefficients
         packed = np.zeros(lay.size)
         theta = lay.view(memory.packed, "theta").copy()
         lay.view(packed, "theta")[:] = theta
@@ -153,6 +155,7 @@ class EntriesSetup(CoefficientSetup):
             kernel=None,
             doubted=0,
         )
+        # run over the samples that were kept from the beginning
         found, done = advanced(self, about, about.first, lay.record(0))
         if done == len(about.inputs) and np.isfinite(found.packed).all():
             return found
@@ -173,20 +176,24 @@ class EntriesSetup(CoefficientSetup):
         nu = nw + 1
         whole = self.stacked(theta)[:n]
         M, dM = np.zeros((1, n, n + 2 * nu)), np.zeros((p, n, n + 2 * nu))
+        # a discrete model needs no discretization: its patterns are the derivatives
         if not base.is_continuous:
             M[0, :, : n + nw] = whole
             dM[:, :, : n + nw] = self.patterns[:, :n]
             return M[0], dM
+        # zero-order or first-order hold by the exponential of an augmented matrix
         columns = 2 * nw if hold == "foh" else nw
         moving = np.flatnonzero(self.patterns[:, :n].any(axis=(1, 2)))  # coefficients that enter A or B
         blocks = np.zeros((1 + moving.size, n + columns, n + columns), complex)
         blocks[:, :n, : n + nw] = whole
+        # complex step: the imaginary part is the derivative, without cancellation
         blocks[1:, :n, : n + nw] += 1j * _TINY_STEP * self.patterns[moving, :n]
         blocks *= self.settings.dt
         if hold == "foh":
             blocks[:, n : n + nw, n + nw :] = np.eye(nw)
         with np.errstate(over="ignore", invalid="ignore"):  # the loop says so where the model blows up
             E = exponential(blocks)[:, :n]
+        # first-order hold: part of the integral belongs to the input at the end of the sample
         late = E[:, :, n + nw :] if hold == "foh" else np.zeros((len(E), n, nw))
         held = np.zeros((len(E), n, n + 2 * nu), complex)
         held[:, :, :n] = E[:, :, :n]
@@ -204,6 +211,7 @@ class EntriesSetup(CoefficientSetup):
         nw = nu - 1
         M, dM = self.discretized(memory.centre)
         O, dO = np.zeros((ny, n + nu)), np.zeros((p, ny, n + nu))
+        # outputs: the derivatives are the patterns themselves
         O[:, : n + nw] = self.stacked(memory.centre)[n:]
         dO[:, :, : n + nw] = self.patterns[:, n:]
         level = np.where(memory.sizes[:nw] > 0, memory.sizes[:nw], 1.0)
@@ -221,6 +229,7 @@ class EntriesSetup(CoefficientSetup):
         """
         if not self.one_to_one or not self.labels:
             return super().prior_covariance(spread)
+        # singular directions of the response change; those that change nothing get no prior variance
         _, sizes, directions = np.linalg.svd(self._response_change * spread)
         seen = directions[: np.count_nonzero(sizes > _UNSEEN * sizes[0])]
         return np.asarray((seen * spread).T @ (seen * spread))
@@ -234,14 +243,17 @@ class EntriesSetup(CoefficientSetup):
         n, nw, p = self.base.n_states, self.base.n_inputs, len(self.labels)
         M, dM = self.discretized(self.start())
         nu = nw + 1
+        # both input columns act as one in a steady sine
         A, B = M[:, :n], M[:, n : n + nw] + M[:, n + nu : n + nu + nw]
         C = self.base.C
         rows = []
+        # frequencies below the Nyquist frequency, relative to the largest gain at each
         for omega in np.geomspace(1e-3, 0.9, 60) * np.pi:
             resolvent = np.linalg.inv(np.exp(1j * omega) * np.eye(n) - A)
             left, right = C @ resolvent, resolvent @ B
             size = max(float(np.abs(left @ B + self.base.D).max(initial=0.0)), 1e-300)
             dA, dB = dM[:, :, :n], dM[:, :, n : n + nw] + dM[:, :, n + nu : n + nu + nw]
+            # dG = C (zI - A)^-1 (dA (zI - A)^-1 B + dB) + dC (zI - A)^-1 B + dD
             change = left @ (dA @ right + dB) + self.patterns[:, n:, :n] @ right + self.patterns[:, n:, n:]
             rows.append(change.reshape(p, -1).T / size)
         found = np.concatenate(rows)
@@ -252,13 +264,16 @@ class EntriesSetup(CoefficientSetup):
     def prior(self, states: Array, inputs: Array, outputs: Array) -> Array:
         """Standard deviation of each coefficient for signals of these sizes."""
         base = self.base
+        # size of each row of [A B; C D] [x; w]; of a discrete A without its identity part
         whole = np.abs(self._whole - np.eye(*self._whole.shape) * (not base.is_continuous))
         sources = np.concatenate([states, inputs])
         moved = np.abs(whole) * sources
         rate = np.concatenate([moved[: base.n_states].max(axis=1, initial=0.0), outputs])
+        # a row with no entry may change the state by its size within one sample
         rest = states / self.settings.dt if base.is_continuous else states
         rate[: base.n_states] = np.where(rate[: base.n_states] > 0, rate[: base.n_states], rest)
         found = np.zeros(len(self.labels))
+        # prior: half the nominal value, or the share of its row that the entry may contribute
         for a, pattern in enumerate(self.patterns):
             drive = np.abs(pattern) * sources  # what a unit of the coefficient moves, row by row
             active = drive > 0
@@ -268,9 +283,10 @@ class EntriesSetup(CoefficientSetup):
         return found
 
 
-def _sized(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory:
+def _with_sizes(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory:
     """Return the memory with signal and state sizes and a matching prior."""
     count = np.maximum(memory.use.sum(axis=0), 1)
+    # root mean square of outputs and inputs over the first samples
     outputs = np.sqrt(np.sum(np.where(memory.use, memory.outputs, 0.0) ** 2, axis=0) / count)
     outputs = np.where(outputs > 0, outputs, 1.0)
     inputs = np.sqrt(np.mean(memory.inputs**2, axis=0))
@@ -280,6 +296,7 @@ def _sized(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory:
     poles = np.abs(np.linalg.eigvals(discrete.A)) if discrete.n_states else np.zeros(0)
     growth = np.log(max(float(poles.max(initial=0.0)), 1.0))
     span = max(int(min(3.0 / max(growth, 1e-9), len(memory.inputs))), 1)
+    # states by simulation, and by the pseudo-inverse of C from the outputs
     shown = np.abs(np.linalg.pinv(discrete.C)) @ outputs
     states = np.hypot(np.sqrt(state_power(discrete.A, discrete.B, memory.inputs[:span])), shown)
     states = np.where(states > 0, states, 1.0)
@@ -319,6 +336,7 @@ def nonzero_entries(model: LinearModel, settings: FilterSettings) -> EntriesSetu
     found = []
     for row in range(model.n_states):
         columns = np.flatnonzero(model.A[row])
+        # x1' = x2: kinematics
         kinematic = columns.size == 1 and columns[0] != row and model.A[row, columns[0]] == 1.0
         if kinematic and not model.B[row].any():
             continue
@@ -377,6 +395,7 @@ def correction(
     acts = np.vstack([inputs, feedthrough])
     patterns, names = [], []
     signals = (*model.state_labels, *model.input_labels)
+    # one coefficient for each pair of correction input and signal
     for c in range(acts.shape[1]):
         for j in range(n + nw):
             pattern = np.zeros((n + model.n_outputs, n + nw))
@@ -390,6 +409,7 @@ def correction(
 def _mixed_outputs(model: LinearModel) -> list[_Entry]:
     found = []
     for row in range(model.n_outputs):
+        # a single state is a sensor; sums of several signals carry parameters
         states, inputs = np.flatnonzero(model.C[row]), np.flatnonzero(model.D[row])
         if states.size + inputs.size > 1 or (not states.size and inputs.size):
             found += [_Entry("C", row, int(j)) for j in states] + [_Entry("D", row, int(j)) for j in inputs]

@@ -140,6 +140,7 @@ def remembered(sizes, packed):
     moves at an output; surprise : mean square of what the filter was sure of; w : last inputs;
     z, ring, kept : inner states of force laws, past inputs, inner states of input effects.
     """
+    # the packed memory holds the quantities one behind the other, in the order of `Layout.shapes`
     n, p, nu, ny = sizes[0], sizes[1], sizes[2], sizes[3]
     theta, at = row(packed, 0, p)
     delta, at = row(packed, at, p)
@@ -248,9 +249,11 @@ def _follow(i, e, floor, level, count, forgetting):
 
     The noise variance is that level, or the declared one if that is larger.
     """
+    # exponential averages of the squared innovation: a quick one and a slow one
     count[i] += 1.0
     level[0, i] += _SHORT * (e * e - level[0, i])
     level[1, i] += max(_LONG, 1.0 - forgetting, 1.0 / count[i]) * (e * e - level[1, i])
+    # noise variance; half of the quick level lets it rise soon after a change
     return max(floor[i], level[1, i], 0.5 * level[0, i])
 
 
@@ -261,11 +264,13 @@ def _excites(i, R, h, least, power):
     Their present effect must be large enough compared with the noise and with the largest effect so
     far. Otherwise nothing is forgotten.
     """
+    # variance that the prior doubt of the coefficients would cause at this output
     doubt = 0.0
     for a in range(least.shape[0]):
         doubt += (h[i, a] * 1e6 * least[a]) ** 2
     power[0, i] += _SHORT * (doubt - power[0, i])
     power[1, i] = max(power[1, i], power[0, i])
+    # persistent excitation: above the noise, and not a remainder of earlier excitation
     return doubt >= _EXCITED * R and power[0, i] >= _QUIET * power[1, i]
 
 
@@ -320,6 +325,7 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
         model, nobody, S_all, into_all, S_few, into_few = march_of(sizes, laws, limit)
     w = np.ones(nu)
     for k in range(block.inputs.shape[0]):
+        # w = [inputs; 1], so that constant forces are a column of the model
         put(w, 0, block.inputs[k])
         if counters[0] == 0:
             # the first sample has none before it that predicts it
@@ -337,6 +343,7 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
             uncertain = counters[1] > 0
 
             # predict the sample, with the sensitivities to coefficients and to the state before
+            # time update: x+ = M [x; w; w+], S+ = F S + dM/dtheta [x; w; w+]
             if laws is None:
                 put(step, 0, x)
                 put(step, n, before)
@@ -346,9 +353,11 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
                 if varied:
                     shift_outputs(Oc, O, dO, columns, theta, centre)
                 step_outputs(x, w, S, Oc, dO, columns, varied, yhat, h)
+                # H = C F: outputs by the state before this sample, for the gain of the state
                 if uncertain:
                     through_state(H, Oc, F)
             else:
+                # nonlinear or delayed inputs: march over the substeps with forces at the present coefficients
                 push(ring, w)
                 shift_matrices(model.at, laws.model.at, theta, centre)
                 fill(model.ports.values, model.ports.columns, 0, theta)
@@ -367,24 +376,30 @@ def advance(sizes, fixed, packed, counters, block, frozen, record, laws):
             # correct with one output after the other
             put(predicted, 0, yhat)
             settled, seen = True, False
+            # covariance that forgetting adds to the state
             if forgetting < 1.0:
                 loose[:, :] = 0.0
             for i in range(ny):
                 if not block.use[k, i]:
                     continue
+                # innovation of output i, after the outputs before it have corrected the prediction
                 e = block.outputs[k, i] - yhat[i]
                 calm = max(floor[i], level[1, i])
+                # frozen coefficients keep the declared noise; otherwise it follows the innovations
                 R = floor[i] if frozen else _follow(i, e, floor, level, count, forgetting)
                 forgets = forgetting < 1.0 and _excites(i, R, h, least, power)
+                # innovation variance: s for known coefficients, plus what their doubt adds
                 s = state_gain(i, R, Pb, F, H, gain) if uncertain else R
                 spread = coefficient_gain(i, Pt, h, g)
                 left = e
+                # frozen: collect the information on theta; otherwise correct theta first, then the state
                 if frozen:
                     collect(i, e, s + spread, delta, h, g)
                 else:
                     left = move_coefficients(i, e, s + spread, theta, limits, x, S, h, g, yhat)
                 if uncertain:
                     move_state(i, left, s, x, S, Pb, H, h, gain, yhat)
+                # gain of Pt: 1 / (innovation variance), smaller where the filter forgets
                 down = 1.0 / (s + spread)
                 if forgets and not frozen and spread > 0.0:
                     down = forget(i, s, spread, forgetting, S, h, g, gain, loose)
@@ -437,12 +452,14 @@ def state_gain(i, R, Pb, F, H, gain):
 
     `gain` holds it before and after the transition. Return the variance of output i.
     """
+    # s = H Pb H' + R and K = Pb H' / s
     s = R
     apply(Pb, H[i], gain[0])
     for a in range(Pb.shape[0]):
         s += H[i, a] * gain[0, a]
     for a in range(Pb.shape[0]):
         gain[0, a] /= s
+    # the same gain carried over the transition: F K corrects the predicted state
     apply(F, gain[0], gain[1])
     return s
 
@@ -453,6 +470,7 @@ def coefficient_gain(i, Pt, h, g):
 
     Return what the coefficients add to the variance of that output.
     """
+    # g = Pt h' and spread = h Pt h'
     spread = 0.0
     apply(Pt, h[i], g)
     for a in range(g.shape[0]):
@@ -463,8 +481,10 @@ def coefficient_gain(i, Pt, h, g):
 @compiled
 def collect(i, e, st, delta, h, g):
     """Accumulate the information of output i on frozen coefficients."""
+    # e - h delta: innovation that the information collected so far leaves
     for a in range(g.shape[0]):
         e -= h[i, a] * delta[a]
+    # recursive least squares step
     for a in range(g.shape[0]):
         delta[a] += g[a] * e / st
 
@@ -476,12 +496,14 @@ def move_coefficients(i, e, st, theta, limits, x, S, h, g, yhat):
     Return what is left of the innovation `e`.
     """
     left = e
+    # theta + Pt h' e / s, projected on the bounds
     for a in range(theta.shape[0]):
         aim = theta[a] + g[a] * e / st
         if aim < limits[0, a]:
             aim = limits[0, a]
         elif aim > limits[1, a]:
             aim = limits[1, a]
+        # Friedland: a change of theta moves state and later outputs through the sensitivities
         move = aim - theta[a]
         theta[a] = aim
         left -= h[i, a] * move
@@ -496,8 +518,10 @@ def move_coefficients(i, e, st, theta, limits, x, S, h, g, yhat):
 def move_state(i, e, s, x, S, Pb, H, h, gain, yhat):
     """Update the state, the later outputs and the sensitivities."""
     n, p = x.shape[0], S.shape[0]
+    # x + F K e
     for b in range(n):
         x[b] += gain[1, b] * e
+    # scalar updates in turn: the later outputs of this sample see the corrected state
     for j in range(i + 1, yhat.shape[0]):
         c = 0.0
         for b in range(n):
@@ -505,9 +529,11 @@ def move_state(i, e, s, x, S, Pb, H, h, gain, yhat):
         yhat[j] += c * e
         for a in range(p):
             h[j, a] -= c * h[i, a]
+    # S - F K h: sensitivity of the filtered state
     for a in range(p):
         for b in range(n):
             S[a, b] -= gain[1, b] * h[i, a]
+    # Pb - s K K'
     for a in range(n):
         for b in range(n):
             Pb[a, b] -= s * gain[0, a] * gain[0, b]
@@ -522,20 +548,24 @@ def forget(i, s, spread, forgetting, S, h, g, gain, loose):
     The coefficients may have changed just now: the state no longer answers for them since the start.
     """
     n, p = gain.shape[1], g.shape[0]
+    # the information matrix loses a share along h only; `kept` is what remains of this direction
     st = s + spread
     ratio = spread / s
     kept = forgetting - (1.0 - forgetting) / ratio
     down = kept / (s * (1.0 + kept * ratio))
     extra = 1.0 / st - down
     share = extra / (1.0 + extra * spread * st / s)
+    # sensitivity of the state along the direction of g
     for b in range(n):
         total = 0.0
         for a in range(p):
             total += g[a] * S[a, b]
         gain[0, b] = total
+    # the state was filtered with the earlier coefficients: it follows a change by less
     for a in range(p):
         for b in range(n):
             S[a, b] -= share * h[i, a] * st / s * gain[0, b]
+    # and its covariance grows by what they may have changed
     for a in range(n):
         for b in range(n):
             loose[a, b] += share * gain[0, a] * gain[0, b]
@@ -548,6 +578,7 @@ def reduce_covariance(Pt, g, down):
     p = g.shape[0]
     for a in range(p):
         before = Pt[a, a]
+        # rank-one downdate of Pt
         for b in range(p):
             Pt[a, b] -= down * g[a] * g[b]
         # rounding must not make it negative where one sample teaches almost everything
@@ -562,12 +593,14 @@ def step_covariance(Pb, F, Q, loose, T):
     It becomes F Pb F' plus what unknown forces and forgetting add.
     """
     n = F.shape[0]
+    # T = F Pb
     for a in range(n):
         for b in range(n):
             total = 0.0
             for c in range(n):
                 total += F[a, c] * Pb[c, b]
             T[a, b] = total
+    # lower triangle of T F' + Q + loose, mirrored
     for a in range(n):
         for b in range(a + 1):
             total = Q[a, b] + loose[a, b]
@@ -606,6 +639,7 @@ def linear_at(sizes, fixed, at):
     shown, at = row(fixed, at, q * ny * no)
     last, at = row(fixed, at, q)
     dM, dO = slopes.reshape(q, n, nz), shown.reshape(q, ny, no)
+    # most coefficients move few rows: keep the range of rows that are not zero in each dM
     columns = np.zeros(q, dtype=np.int64)
     rows = np.zeros((q, 2), dtype=np.int64)
     varied = False
@@ -630,6 +664,7 @@ def step_state(x, F, M, dM, columns, rows, theta, centre, step, drive):
 
     Both are at the present coefficients, to first order about those of `M`.
     """
+    # x+ = (M + sum_r shift_r dM_r) [x; w; w+]
     n, nz = M.shape
     apply(M, step, x)
     for i in range(n):
@@ -650,9 +685,11 @@ def step_state(x, F, M, dM, columns, rows, theta, centre, step, drive):
 @compiled
 def step_sensitivity(S, F, columns, rows, drive, Sn):
     """Sensitivity of the state to the coefficients."""
+    # S+ = S F'
     for a in range(S.shape[0]):
         apply(F, S[a], Sn)
         put(S[a], 0, Sn)
+    # plus the direct effect of each coefficient in the matrices
     for r in range(columns.shape[0]):
         for i in range(rows[r, 0], rows[r, 1]):
             S[columns[r], i] += drive[r, i]
@@ -674,12 +711,14 @@ def step_outputs(x, w, S, Oc, dO, columns, varied, yhat, h):
     """Outputs, and their sensitivity to the coefficients."""
     n, p = x.shape[0], S.shape[0]
     for i in range(yhat.shape[0]):
+        # y = Oc [x; w]
         total = 0.0
         for j in range(n):
             total += Oc[i, j] * x[j]
         for j in range(w.shape[0]):
             total += Oc[i, n + j] * w[j]
         yhat[i] = total
+        # h = Oc dx/dtheta + dOc/dtheta [x; w]
         for a in range(p):
             total = 0.0
             for j in range(n):

@@ -57,6 +57,7 @@ def inputs_of(statics, substeps, foh, nu, kept):
     driven = np.zeros(4 * r, dtype=np.int64)
     changed = np.zeros(nu, dtype=np.bool_)
     count = 0
+    # each coefficient that is estimated drives the inputs: note its law and its place there
     for i in range(r):
         changed[statics[i, 1]] = True
         for c in range(4):
@@ -81,19 +82,23 @@ def _through(value, channel, statics, levels, room, keep):
     """
     kept, slopes, out = room.kept, room.slopes, room.out
     slopes[:, :] = 0.0
+    # chain rule over the laws in series; `passed` is the slope of the value so far
     passed = 1.0
     for r in range(statics.shape[0]):
         if statics[r, 1] != channel or statics[r, 0] == 0:
             continue
         evaluate(statics[r, 0], value, 0.0, kept[r, 5], kept[r, 0], levels, r, 1.0, slopes[r], out)
+        # derivatives of the earlier laws pass through this one
         for before in range(r):
             if statics[before, 1] == channel:
                 for c in range(4):
                     slopes[before, c] *= out[r, 1]
+        # derivative by its own coefficients: directly, and through the inner state
         for c in range(4):
             slopes[r, c] = out[r, 9 + c] + out[r, 4] * kept[r, 1 + c]
             if keep:
                 kept[r, 1 + c] = out[r, 13 + c] + out[r, 8] * kept[r, 1 + c]
+        # new inner state (backlash, hysteresis) and the value of this sample
         if keep:
             kept[r, 0], kept[r, 5] = out[r, 5], value
         value = out[r, 0]
@@ -115,7 +120,9 @@ def _input_at(ring, channel, when, foh):
     `when` counts samples from the latest one (0 or negative). The slope is per sample.
     """
     last = ring.shape[0] - 1
+    # the cell between two samples in which this time lies
     cell = int(np.floor(when + 1e-9))
+    # before the oldest sample that is kept, and after the latest: hold the end value
     if cell < -last:
         return ring[0, channel], 0.0
     if cell >= 0:
@@ -123,6 +130,7 @@ def _input_at(ring, channel, when, foh):
     start = ring[last + cell, channel]
     if not foh:
         return start, 0.0
+    # first-order hold: linear between the samples
     rise = ring[last + cell + 1, channel] - start
     return start + (when - cell) * rise, rise
 
@@ -133,11 +141,13 @@ def _node(when, channel, ring, statics, levels, dt, foh, room, found, slopes):
 
     The value is written to `found`, the derivatives to `slopes` (c, nu).
     """
+    # effects act on the delayed input
     raw, rise = _input_at(ring, channel, when, foh)
     found[channel], passed = _through(raw, channel, statics, levels, room, False)
     for i in range(room.free.shape[0]):
         r, c = room.free[i, 0], room.free[i, 1]
         if statics[r, 1] == channel:
+            # by a delay T: -du/dt, through the slope of the effects
             slopes[i, channel] = -rise * passed / dt if statics[r, 0] == 0 else room.slopes[r, c]
 
 
@@ -147,6 +157,7 @@ def _mean(early, late, channel, ring, statics, levels, dt, room, s):
 
     The mean keeps the whole impulse if an edge falls inside the substep.
     """
+    # zero-order hold: where an edge falls inside the substep, take the mean of both levels
     turn = min(max(np.floor(early + 1e-9) + 1.0, early), late)
     share = (turn - early) / (late - early)
     total = room.total
@@ -156,6 +167,7 @@ def _mean(early, late, channel, ring, statics, levels, dt, room, s):
             total[r, c] = share * room.slopes[r, c]
     last, _ = _through(_input_at(ring, channel, late, False)[0], channel, statics, levels, room, False)
     room.W[s, channel] = share * first + (1.0 - share) * last
+    # derivatives: an edge moves with the delay, the levels with the other coefficients
     for i in range(room.free.shape[0]):
         r, c = room.free[i, 0], room.free[i, 1]
         if statics[r, 1] == channel:
@@ -172,6 +184,7 @@ def hold(ring, substeps, foh, W, Wout):
     They are taken at the nodes of the substeps and at both ends.
     """
     last = ring.shape[0] - 1
+    # zero-order hold: the input of the sample before; first-order hold: linear to this sample
     for channel in range(ring.shape[1]):
         start, end = ring[last - 1, channel], ring[last, channel]
         Wout[0, channel], Wout[1, channel] = start, end
@@ -189,22 +202,26 @@ def drive(ring, statics, levels, substeps, foh, dt, room):
     room.dW[:, :, :] = 0.0
     room.dWout[:, :, :] = 0.0
     delays[:] = 0.0
+    # delays of one input add up
     for r in range(statics.shape[0]):
         if statics[r, 0] == 0:
             delays[statics[r, 1]] += levels[r, 0]
     for channel in range(ring.shape[1]):
         if not room.changed[channel]:
             continue
+        # both ends of the interval, for the outputs
         delay = delays[channel] / dt
         for edge in range(2):
             when = edge - 1.0 - delay
             _node(when, channel, ring, statics, levels, dt, foh, room, room.Wout[edge], room.dWout[:, edge])
+        # nodes of the substeps, for the state equation
         for s in range(room.W.shape[0]):
             early = s / substeps - 1.0 - delay
             if foh:
                 _node(early, channel, ring, statics, levels, dt, foh, room, room.W[s], room.dW[:, s])
             else:
                 _mean(early, early + 1.0 / substeps, channel, ring, statics, levels, dt, room, s)
+        # last, advance the inner states of the input effects to the end of the interval
         _through(_input_at(ring, channel, -delay, foh)[0], channel, statics, levels, room, True)
 
 
@@ -235,11 +252,13 @@ def march_of(sizes, laws, limit):
     """
     n, p, ny = sizes[0], sizes[1], sizes[3]
     at, ports, sensors, field = laws.model
+    # own copies of the matrices: they shift with the coefficients, the given ones do not
     now = Substep(at.M.copy(), at.dM, at.linear, at.O.copy(), at.dO, at.P, at.dP)
     nobody = Corrections(
         np.zeros((2, ny)), np.zeros((2, ny), dtype=np.uint8), np.zeros((n, ny)), np.zeros((0, 0))
     )
     Y, X, F, anywhere = np.zeros((2, ny)), np.zeros((0, n)), np.zeros((0, 0)), np.full(ny, np.inf)
+    # with and without sensitivities to the state before: fewer columns once it has settled
     return (
         Discretized(now, ports, sensors, field), nobody,
         np.zeros((p + n, n)), MarchResult(Y, np.zeros((2, ny, p + n)), X, F, anywhere, limit, laws.substeps),
@@ -262,6 +281,7 @@ def fill(values, columns, first, theta):
 
     Their columns begin at `first`.
     """
+    # a column of -1 marks a coefficient that is known
     for i in range(values.shape[0]):
         for c in range(4):
             if columns[i, first + c] >= 0:
@@ -277,9 +297,11 @@ def shift_matrices(now, given, theta, centre):
     Ms, O, linear = now.M, now.O, now.linear
     if linear.shape[0] == 0:
         return
+    # start from the matrices as discretized, for all powers of the substep
     for grade in range(Ms.shape[0]):
         put_rows(Ms[grade], given.M[grade])
     put_rows(O, given.O)
+    # add the derivatives times the shift of each coefficient
     for r in range(linear.shape[0]):
         shift = theta[linear[r]] - centre[linear[r]]
         if shift == 0.0:
@@ -301,6 +323,7 @@ def enter(through, S):
     """
     p, n = S.shape
     put_rows(through, S)
+    # unit matrix: each state by itself at the start of the interval
     for i in range(through.shape[0] - p):
         for j in range(n):
             through[p + i, j] = 1.0 if i == j else 0.0
@@ -310,6 +333,7 @@ def enter(through, S):
 def read(through, shown, Y, S, yhat, h, F, H):
     """Sensitivities and outputs at the end of the interval."""
     p, n = S.shape
+    # rows of `through`: sensitivities to the coefficients, then the transition matrix
     put_rows(S, through[:p])
     for i in range(yhat.shape[0]):
         yhat[i] = Y[1, i]

@@ -216,6 +216,7 @@ class CoefficientSetup(ABC):
         n_w = lay.nu - 1
         lower, upper = self.bounds
         origin = np.clip(self.start(), lower, upper)
+        # all zero but the coefficients: sizes and priors follow from the first samples
         packed = np.zeros(lay.size)
         lay.view(packed, "theta")[:] = origin
         return CoefficientMemory(
@@ -261,12 +262,15 @@ class CoefficientSetup(ABC):
             What unknown forces, and inputs that were not measured, move in a sample.
         """
         lay, settings = self.layout, self.settings
+        # divergence: 1e12 times the size of the states
         limit = _LIMIT * (float(memory.states.max(initial=0.0)) or 1.0)
         y_size = memory.sizes[lay.nu - 1 :]
+        # noise floor: as declared, or the rounding of the outputs
         floor = np.maximum(settings.noise**2, 1e-16 * y_size**2)
         scale = np.where(memory.spread > 0, memory.spread, 1.0) if memory.spread.size else np.ones(lay.p)
         numbers = np.array([self.share, settings.forgetting, limit, self.watch])
         head = [memory.centre, *bounds, 1e-6 * scale, floor, numbers]
+        # covariances of unknown forces and of missing inputs: B B'
         return [*head, (acting @ acting.T).ravel(), (inputs @ inputs.T).ravel()], floor
 
     def prior_covariance(self, spread: Array) -> Array:
@@ -291,14 +295,18 @@ class CoefficientSetup(ABC):
         lay, packed = self.layout, memory.packed.copy()
         counters = self.counters()
         counters[0] = memory.n_samples
+        # covariance reset: the state is as uncertain as at the start
         lay.view(packed, "Pb")[:] = np.diag(memory.states**2)
         lay.view(packed, "surprise")[:] = 0.0
+        # first surprise in a long time: trust the coefficients, renew the state only
         if memory.doubted == 0 or memory.n_samples - memory.doubted > _SOON:
             return replace(memory, packed=packed, counters=counters, doubted=memory.n_samples)
+        # second one soon after: reset the coefficients to the initial model, too
         lay.view(packed, "theta")[:] = memory.origin
         lay.view(packed, "S")[:] = 0.0
         lay.view(packed, "Pt")[:] = self.prior_covariance(memory.spread)
         level = lay.view(packed, "level")
+        # the quick level of the innovations holds now
         level[1] = np.maximum(level[0], level[1])
         lay.view(packed, "count")[:] = DOUBT
         return replace(
@@ -318,6 +326,7 @@ def held_columns(M: Array, n: int, nu: int, hold: str) -> Array:
     With a zero-order hold an input acts with its value at the start.
     """
     M = np.ascontiguousarray(M[:, :, : n + 2 * nu])
+    # zero-order hold: the input of the sample before acts alone
     if hold == "zoh":
         M[:, :, n : n + nu] += M[:, :, n + nu :]
         M[:, :, n + nu :] = 0.0
@@ -355,8 +364,8 @@ def explain_divergence(setup: CoefficientSetup, memory: CoefficientMemory, sampl
     sentences = [
         f"the static stage diverged at sample {sample} (t = {sample * setup.settings.dt:.6g} s); "
         "the state before is readable.",
-        *_unstable(setup, memory),
-        *_bounds(setup, memory),
+        *_pole_caution(setup, memory),
+        *_bound_caution(setup, memory),
         "Place: choose other effects, give them a start or a prior, or declare the noise of the sensors.",
     ]
     return DivergenceError(" ".join(sentences))
@@ -368,14 +377,17 @@ def cautions(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
         return []
     lay = setup.layout
     names = setup.labels
+    # standard deviations from the covariance of the filter
     P = lay.view(memory.packed, "Pt")
     std = np.sqrt(np.maximum(np.diag(P), 0.0))
-    found = [*_unstable(setup, memory), *_bounds(setup, memory)]
+    found = [*_pole_caution(setup, memory), *_bound_caution(setup, memory)]
+    # not excited: the posterior deviation is close to the prior
     blind = [
-        name for name, one, prior in zip(names, std, memory.spread, strict=True) if one > _UNLEARNED * prior
+        name for name, own, prior in zip(names, std, memory.spread, strict=True) if own > _UNLEARNED * prior
     ]
+    # held: the prior fixes more than the data determine
     held = np.diag(setup.held_covariance(memory.spread))
-    together = [name for name, one, of in zip(names, std, held, strict=True) if of > one**2]
+    together = [name for name, own, of in zip(names, std, held, strict=True) if of > own**2]
     if together:
         found.append(
             f"Determined only together: {', '.join(together)}. What no sample changes is held "
@@ -383,6 +395,7 @@ def cautions(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
         )
     if blind:
         found.append(f"Not excited: the samples hardly determine {', '.join(blind)}; excite or omit it.")
+    # nearly collinear estimates
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = np.abs(P) / np.outer(std, std)
     pairs = [
@@ -393,6 +406,7 @@ def cautions(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
     ]
     if pairs:
         found.append(f"Hardly distinguished by these sensors: {'; '.join(pairs[:3])}.")
+    # unexplained: innovations above the declared noise, or above a share of the signal
     level = np.sqrt(lay.view(memory.packed, "level")[1])
     size = memory.sizes[-lay.ny :]
     for label, left, whole, declared in zip(
@@ -409,6 +423,7 @@ def cautions(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
                 "Unless this is noise, an effect is missing or at another place (rcorefine.diagnose ranks "
                 "the candidates)."
             )
+    # memory of the initial state: time constant of the slowest pole against the length
     poles = _poles(setup, memory)
     slowest = -float(np.max(poles.real, initial=-np.inf))
     if slowest > 0 and memory.n_samples * setup.settings.dt * slowest < 1.0 and memory.counters[1] > 0:
@@ -435,11 +450,13 @@ def _continuous_poles(model: LinearModel, dt: float) -> NDArray[np.complex128]:
     poles = np.linalg.eigvals(model.A).astype(complex)
     if model.is_continuous:
         return poles
+    # s = ln(z) / dt
     with np.errstate(divide="ignore"):
         return np.asarray(np.log(poles) / dt)
 
 
-def _unstable(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
+def _pole_caution(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
+    # compare with the initial model: it may be unstable itself
     before = _continuous_poles(setup.model, setup.settings.dt).real.max(initial=-np.inf)
     poles = _poles(setup, memory)
     if not poles.size:
@@ -454,7 +471,7 @@ def _unstable(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
     ]
 
 
-def _bounds(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
+def _bound_caution(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
     theta = setup.layout.view(memory.packed, "theta")
     lower, upper = setup.bounds
     held = [
@@ -487,6 +504,7 @@ def take(
     memory = memory.copied()
     total = len(block.inputs)
     record = setup.layout.record(total if keep else 0)
+    # up to the next milestone the samples are kept, to filter them again
     position = 0
     while position < total:
         target = setup.milestone(memory.rounds)
@@ -494,6 +512,7 @@ def take(
         part = block.part(position, stop)
         if target >= 0:
             memory = replace(memory, **Block.joined([memory.first, part])._asdict())
+        # before the first milestone sizes and priors are unknown: only count
         if memory.rounds == 0:
             memory.counters[0] += stop - position
             if keep:
@@ -503,8 +522,10 @@ def take(
             if done < stop - position:
                 raise explain_divergence(setup, memory, memory.n_samples)
         position = stop
+        # at a milestone: filter the samples kept so far about the best coefficients
         if target >= 0 and memory.n_samples == target:
             memory = setup.go_over(memory)
+            # after the last one: drop the samples and run as a pure filter
             if target == setup.milestones[-1]:
                 nothing = {name: part.copy() for name, part in memory.first.part(0, 0)._asdict().items()}
                 memory = replace(memory, rivals=memory.rivals[:0].copy(), **nothing)
@@ -522,6 +543,7 @@ def advanced(
     """
     position, total = 0, len(block.inputs)
     while position < total:
+        # compile at the first use, then run until the kernel stops
         if memory.kernel is None:
             memory = replace(memory, kernel=setup.compile(memory))
         done, why = memory.kernel.over(
@@ -530,8 +552,10 @@ def advanced(
         position += done
         if why == DIVERGED:
             break
+        # innovations too large for their covariance: restart
         if why == SURPRISED:
             memory = setup.renewed(memory)
+        # coefficients moved too far for the linearization: discretize about them
         if why == MOVED:
             centre = setup.layout.view(memory.packed, "theta").copy()
             memory = replace(memory, centre=centre, discretized=memory.discretized + 1, kernel=None)
@@ -600,6 +624,7 @@ class CoefficientFilter:
         """
         memory = self.memory
         kernel = memory.kernel
+        # fast path: nothing kept, nothing to filter again, and the model is compiled
         if self.keep or kernel is None or memory.inputs.size or memory.rounds == 0:
             return False
         after = memory.copied()
@@ -611,6 +636,7 @@ class CoefficientFilter:
     def finish(self) -> None:
         """Learn from what is still held back, however short."""
         memory = self.memory
+        # a stream shorter than the first milestone
         if memory.rounds == 0 and memory.inputs.shape[0] > self.setup.layout.n + 2:
             self.memory = self.setup.go_over(memory)
 
@@ -628,6 +654,7 @@ class CoefficientFilter:
         It is infinite before anything is learned. Where coefficients are held, it is that of their prior.
         """
         found = self.setup.layout.view(self.memory.packed, "Pt").copy()
+        # before the first milestone nothing is learned
         if not found.any():
             found[np.diag_indices_from(found)] = np.inf
             return found
@@ -684,6 +711,7 @@ class CoefficientFilter:
     def predict(self, inputs: Array) -> Array:
         """Free run on further inputs of shape (N, n_w); outputs of shape (n_y, N)."""
         setup, memory, total = self.setup, self.memory, inputs.shape[0]
+        # before the first milestone the initial model runs on from the first sample
         if memory.rounds == 0:  # still the initial model, from rest
             inputs = np.vstack([memory.inputs, inputs])
             packed = np.zeros(setup.layout.size)
@@ -692,6 +720,7 @@ class CoefficientFilter:
         memory = replace(
             memory, rounds=1 << 30, inputs=memory.inputs[:0], outputs=memory.outputs[:0], rivals=memory.rivals
         )
+        # no output is used: the filter only predicts, so this is a simulation
         use = np.zeros((inputs.shape[0], setup.layout.ny), np.uint8)
         known = np.ones(inputs.shape[0], np.uint8)
         block = Block(inputs, np.zeros(use.shape), known, use)
@@ -706,6 +735,7 @@ class CoefficientFilter:
         """Go on from what `state` gave, once it was held against a fresh memory."""
         memory, records = state
         lay, setup = self.setup.layout, self.setup
+        # compare shapes and ranges with an empty memory
         fresh = setup.begin()
         if memory.spread.size:  # the first samples have told it
             fresh = replace(fresh, spread=np.zeros(lay.p))

@@ -124,6 +124,7 @@ class _Column:
 
 def checked_candidates(model: Any, given: Sequence[Effect] | None) -> tuple[Effect, ...]:
     """Effects that can be watched for, by default those of the library."""
+    # effects that act as forces along the estimated motion
     if given is None:
         return tuple(e for e in effect_library(model) if e.spec.along_motion)
     effects = tuple(as_effects(given, "candidates"))
@@ -169,14 +170,17 @@ def build_bank(
     -------
     Bank
     """
+    # candidates first, then the effects whose parameters are uncertain
     effects = tuple(dict.fromkeys([*candidates, *(effect for effect, _ in numbers.moving)]))
     structure, theta = numbers.structure, numbers.theta
+    # columns of all effects: what they sense, their law and where they act
     motion = Motion(structure, theta, data)
-    A = _along(structure, theta, data, gain)
+    A = _linearize_along(structure, theta, data, gain)
     found: list[_Column] = []
     for owner, effect in enumerate(effects):
         found += _columns(structure, theta, A, owner, effect, motion)
     n, k = structure.n_states, len(found)
+    # forces pass to the states over one sample: those of inputs with their hold, others linear
     drive = np.zeros((2, n, k))
     for hold_of in ("foh", "zoh"):
         which = [j for j, c in enumerate(found) if (hold if c.hold == "input" else "foh") == hold_of]
@@ -201,38 +205,43 @@ def build_bank(
         np.zeros(0, dtype=np.int64),
         np.zeros((0, 0)),
     )
-    unit = _sizes(bank, structure, theta, data, gain)
+    unit = _unit_scales(bank, structure, theta, data, gain)
     # a law that has nothing to work on here, as hysteresis without a displacement
     idle = unit == 0
     bank = replace(bank, scale=unit, codes=np.where(idle, CODES["constant"], bank.codes))
+    # uncertain parameters are columns too: which ones, and the square root of their covariance
     columns = [(bank.effects[owner], name) for owner, name in zip(bank.owner, bank.names, strict=True)]
-    at = np.array([columns.index(one) for one in numbers.moving], dtype=np.int64)
+    at = np.array([columns.index(coefficient) for coefficient in numbers.moving], dtype=np.int64)
     felt = (unit[at] > 0) & (np.diag(numbers.covariance) > 0)
     known = numbers.covariance[np.ix_(felt, felt)]
+    # eigenvectors of the correlation: P = root root', in the units of the columns
     spread = np.sqrt(np.diag(known))
     values, vectors = np.linalg.eigh(known / np.outer(spread, spread))
     root = (spread / unit[at][felt])[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     return replace(bank, numbers=at[felt], root=np.ascontiguousarray(root))
 
 
-def _sizes(bank: Bank, structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
+def _unit_scales(bank: Bank, structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
     """Return one over the rms force of each column.
 
     The force is per unit of the coefficient. The result is 0 where there is no force.
     """
+    # motion of the healthy data by the observer
     run = Engine(structure, data, substeps=2 if structure.n_ports else 1).run(
         theta, sensitivity=False, gain=gain, histories=True, check=False
     )
     X = np.ascontiguousarray(np.vstack([np.nan_to_num(run.states), data.inputs]).T)
+    # force of each column along it, per unit of its coefficient
     F, inner = np.zeros((data.n_samples, bank.size)), np.full((3, bank.size), np.nan)
     inner[0] = 0.0
     forces(X, bank.columns, structure.n_states, 1.0 / data.dt, inner, F)
+    # columns in units of their rms force
     size = np.sqrt(np.mean(F**2, axis=0))
     seen = np.isfinite(size) & (size > 0)
     return np.where(seen, 1.0 / np.where(seen, size, 1.0), np.where(np.isfinite(size), 1.0, 0.0))
 
 
-def _along(structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
+def _linearize_along(structure: Structure, theta: Array, data: Measurement, gain: Array) -> Array:
     """Return A of the healthy model, linearized along the data.
 
     Each nonlinear force is replaced by its best linear fit.
@@ -242,6 +251,7 @@ def _along(structure: Structure, theta: Array, data: Measurement, gain: Array) -
     run = Engine(structure, data, substeps=2).run(
         theta, sensitivity=False, gain=gain, histories=True, check=False
     )
+    # slopes of the force laws over the motion
     return linearized(structure, theta, run, data.inputs)[0]
 
 
@@ -251,16 +261,19 @@ def _columns(
     m, linear, law = structure.matrices(theta), structure.linear_model, effect.spec
     n, nw, ny = structure.n_states, structure.n_inputs, structure.n_outputs
     B, C, D = m.B[:, :nw].astype(float), m.C.astype(float), m.D[:, :nw].astype(float)
+    # row vectors over [x; w]: d is the displacement that the law senses, v the velocity
     d, unit, first = np.zeros(n + nw), np.eye(n + nw), effect.coefficients[0]
     hold, width = "foh", 1.0
     shapes: list[dict[str, float]] = [{}]
     if not law.signal or (law.shaping and law.at_channel):
         shapes = _shapes(structure, theta, effect, motion)
+    # entry of a linear model: the coefficient times state or input `column` drives `row`
     if "any" in law.where and law.is_parameter:
         row, column = entry_among(structure, effect.place)
         act, read = np.split(np.eye(n + ny)[row], [n])
         rate = structure.model.output_rate
         through, v = rate @ act[: rate.shape[1]] + read, unit[column]
+    # effect of an input or an output: it acts where the signal does and senses it
     elif law.at_channel:
         if "input" in law.where:
             i = linear.input_labels.index(effect.place)
@@ -270,11 +283,13 @@ def _columns(
             act, through, v = np.zeros(n), np.eye(ny)[i], np.concatenate([C[i], D[i]])
         if not law.signal:
             d, v = v, d
+    # force at a port: relative velocity and displacement, in the outputs by the acceleration
     else:
         port = structure.model.port(effect.place)
         pad = (0, n - port.act.size)
         act, through = np.pad(port.act, pad), felt(port, structure.model.output_rate)
         v = np.concatenate([np.pad(port.velocity, pad), port.velocity_input])
+        # inertial force: the velocity rows become acceleration rows, v' A x + v' B w
         if law.inertial:
             v = np.concatenate([v[:n] @ A, v[:n] @ B + port.acceleration_input])
         elif "acceleration" in law.senses:  # what fills a store
@@ -285,20 +300,24 @@ def _columns(
             width = law_widths(Structure(structure.model, [effect]), motion).get(0, 1.0)
     place = d, v, act, through, hold
     if law.signal:
+        # laws without a formula of their own: one column per shape
         values = [(0.0, shape[first]) if shape else () for shape in shapes]
-        return [_Column(owner, first, CODES[law.signal], *place, one) for one in values]
+        return [_Column(owner, first, CODES[law.signal], *place, shape) for shape in values]
+    # other laws: a column for each coefficient that is a factor of the force
     strengths = [
         (c, name)
         for c, name in enumerate(effect.coefficients)
         if name not in law.shaping and name not in effect.fixed
     ]
     assert isinstance(law, FormulaLaw)
+    # addresses of tables are filled in by each process
     here = dict.fromkeys(law.addresses, 0.0)
     known = [{**effect.constants, **effect.fixed, **shape, **here} for shape in shapes]
-    rows = [tuple(float(one.get(name) or 0.0) for name in law.row) for one in known]
+    rows = [tuple(float(constants.get(name) or 0.0) for name in law.row) for constants in known]
     return [
         _Column(owner, name or first, 0 if name else CODES["change"], *place, row, width, c)
         for row in rows
+        # a law without such a coefficient: its change against the displacement alone
         for c, name in strengths or [(0, "")]
     ]
 
@@ -308,6 +327,7 @@ def _shapes(structure: Structure, theta: Array, effect: Effect, motion: Motion) 
 
     They hold its gap, limit or fading speed; the forces are zero.
     """
+    # starting values of gap, limit or fading speed for this motion; the strengths are zero
     probe = Structure(structure.model, [effect])
     sets: list[dict[str, float]] = []
     for point in shape_starts(probe, probe.start(), motion):

@@ -144,27 +144,30 @@ def learn(
     """
     engine = Engine(structure, data, substeps=substeps)
     sound = use
+    # ratios of unknown force to input: those of the grid, or the one that is declared
     ratios = [ratio for ratio in RATIOS if ratio <= most] if disturbance is None else [disturbance]
+    # observer by likelihood, outliers left out, and once more until the outliers stay the same
     for _ in range(_PASSES):
-        healthy, white, scale = _chosen(engine, theta, data, ratios, sound, period)
-        before, sound = sound, np.where(_alone(white, sound), 0, sound).astype(np.uint8)
+        healthy, white, scale = _choose_observer(engine, theta, data, ratios, sound, period)
+        before, sound = sound, np.where(_isolated_outliers(white, sound), 0, sound).astype(np.uint8)
         if np.array_equal(before, sound):
             break
     return healthy, sound, scale
 
 
-def _alone(white: Array, use: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _isolated_outliers(white: Array, use: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return isolated outliers of the whitened innovations.
 
     The shape is (N, n_y). There are none where outliers are frequent.
     """
+    # robust scale: the median absolute innovation
     size = np.abs(white.T)
     usual = np.array([np.median(row[there > 0]) for row, there in zip(size.T, use.T, strict=True)])
     out = (size > _STANDS_OUT / norm.ppf(0.75) * usual) & (use > 0) & (usual > 0)
     return np.asarray(out & (out.mean(axis=0) < _MOST_ALONE))
 
 
-def _chosen(
+def _choose_observer(
     engine: Engine,
     theta: Array,
     data: Measurement,
@@ -179,13 +182,16 @@ def _chosen(
     structure = engine.structure
     best: tuple[float, Healthy, Array, Array] | None = None
     for ratio in ratios:
+        # unknown force at the inputs only, then at all ports
         for everywhere in (False, True):
             gain, radius = gain_of(structure, theta, data, ratio, everywhere)
             if ratio == 0 and radius > FREE:
+                # an unstable or undamped model does not run free: smallest gain instead
                 if len(ratios) > 1:
                     continue  # what was once wrong about the state would stay wrong
                 gain, radius = gain_of(structure, theta, data, RATIOS[1], everywhere)
-            found = _evaluated(engine, theta, gain, ratio, radius, use, period)
+            found = _evaluate_observer(engine, theta, gain, ratio, radius, use, period)
+            # the smallest gain that the likelihood does not clearly reject
             if found is not None and (best is None or found[0] < best[0] - _WORTH):
                 best = found
             if ratio == 0:
@@ -204,19 +210,21 @@ def gain_of(
     """Gain, and the spectral radius of the observer."""
     matrices = structure.matrices(theta)
     n = structure.n_states
+    # Phi: transition over one sample
     Phi = structure.discretize(theta, data.dt, derivatives=False).M[0, -n:, :n]
     if ratio == 0:
         K = np.zeros((n, structure.n_outputs))
     else:
         # the unknown force comes in where the measured one does, or at the ports too
         K = observer_gain(structure, theta, data, ratio, at="everywhere" if everywhere else "inputs")
+    # error dynamics of the observer: Phi (I - K C)
     closed = Phi @ (np.eye(n) - K @ matrices.C.astype(float))
     if not np.isfinite(closed).all():  # there is no such observer
         return K, np.inf
     return K, float(np.abs(np.linalg.eigvals(closed)).max(initial=0.0))
 
 
-def _evaluated(
+def _evaluate_observer(
     engine: Engine,
     theta: Array,
     gain: Array,
@@ -232,25 +240,31 @@ def _evaluated(
     y, flags = engine.data.outputs, use.T > 0
     spread = np.maximum(y.std(axis=1), 1e-300)
     K = gain if gain.any() else None
+    # initial state by least squares, then innovations e = y - y_hat
     x0 = estimate_initial_state(engine, theta, 1.0 / spread, gain=K, use=use > 0)
     run = engine.run(theta, x0, sensitivity=False, gain=K, use=use > 0, check=False)
     if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
         return None
+    # mean of each output's innovations: sensor offset
     e = y - run.outputs
     mean = np.array([row[there].mean() for row, there in zip(e, flags, strict=True)])
     e = np.where(flags, e - mean[:, None], 0.0)
+    # noise may grow with the signal: its square now, and smoothed over a period
     square = run.outputs**2
     power = square.mean(axis=1)
     local = lfilter([1.0 / period], [1.0, 1.0 / period - 1.0], square - power[:, None], axis=1)
     rows, orders, white, noise, scale = [], [], [], [], []
     cost = 0.0
     for i in range(e.shape[0]):
+        # whiten each output by an autoregressive model
         a, _ = autoregression(e[i], known=flags[i])
         w = innovations(a, e[i])
         floor = max(1e-24 * spread[i] ** 2, 1e-300)  # a record without noise
         sizes = np.column_stack([np.ones(w.size), square[i], power[i] + local[i]])
+        # variance of the whitened innovations as a function of the signal
         law = noise_law(w[flags[i]], sizes[flags[i]], floor)
         variance = variance_by(law, sizes)
+        # minus the Gaussian log-likelihood, with Schwarz's penalty per coefficient
         cost += 0.5 * float(np.log(variance[flags[i]]).sum())
         cost += 0.5 * math.log(int(flags[i].sum())) * (a.size - 1)
         noise.append(law)
@@ -263,13 +277,16 @@ def _evaluated(
     filters = np.zeros((len(rows), q))
     for i, row in enumerate(rows):
         filters[i, : row.size] = row
+    # covariance between outputs; mix = inverse of its Cholesky factor
     w = np.array(white)[:, q:]
     covariance = np.atleast_2d(np.cov(w, bias=True))
     diagonal = np.maximum(np.diag(covariance), 1e-24)
     covariance = covariance + np.diag(diagonal - np.diag(covariance) + 1e-12 * diagonal)
     lower = np.linalg.cholesky(covariance)
+    # minus log-likelihood of the correlation
     correlation = covariance / np.sqrt(np.outer(diagonal, diagonal))
     cost += 0.5 * w.shape[1] * math.log(max(np.linalg.det(correlation), 1e-300))
+    # samples until the observer has forgotten 99 % of a wrong state
     settle = math.ceil(math.log(0.01) / math.log(radius)) if 0 < radius < 1 else 1
     mix = np.tril(np.linalg.inv(lower))
     least = np.array([row[there].min() ** 2 for row, there in zip(scale, flags, strict=True)])
@@ -321,9 +338,11 @@ def noise_law(white: Array, sizes: Array, floor: float) -> Array:
     least = max(floor, _CONSTANT * mean)  # a signal that rests tells nothing of the noise there
 
     def fitted(used: int) -> tuple[float, Array]:
+        # iteratively reweighted nonnegative least squares
         law = np.array([mean, 0.0, 0.0])
         for _ in range(_REWEIGHTED):
             variance = variance_by(law, sizes)
+            # clipped squares; 1.005 restores their mean for Gaussian noise
             square = 1.005 * np.minimum(white**2, CLIP**2 * variance)
             scaled = sizes[:, :used] / variance[:, None]
             unit = np.maximum(np.linalg.norm(scaled, axis=0), 1e-300)
@@ -332,6 +351,7 @@ def noise_law(white: Array, sizes: Array, floor: float) -> Array:
         variance = variance_by(law, sizes)
         return 0.5 * float(np.sum(np.log(variance) + np.minimum(white**2 / variance, CLIP**2))), law
 
+    # the term of the smoothed signal only if the likelihood demands it
     plain, whole = fitted(2), fitted(3)
     return whole[1] if whole[0] < plain[0] - _WORTH else plain[1]
 
@@ -371,10 +391,11 @@ class Numbers:
 
         The force law is taken at the gap or limit that it has.
         """
-        return [_seen_as(self.structure, self.theta, int(i)) for i in self.loose]
+        return [_effect_of(self.structure, self.theta, int(i)) for i in self.loose]
 
 
-def _seen_as(structure: Structure, theta: Array, at: int) -> tuple[Effect, str]:
+def _effect_of(structure: Structure, theta: Array, at: int) -> tuple[Effect, str]:
+    # an effect that is part of the model, linearized at the shape it has
     parameter = structure.parameters[at]
     index = parameter.effect
     effect = structure.effects[index]
@@ -401,6 +422,7 @@ def numbers_of(
     -------
     Numbers
     """
+    # parameters that the user does not estimate: linear elements, within `tolerance` of their size
     held = {(effect.kind, effect.place) for effect in structure.effects}
     extra: list[Effect] = []
     sizes: list[float] = []
@@ -410,15 +432,18 @@ def numbers_of(
         if 0.0 < size < np.inf and (effect.kind, effect.place) not in held:
             extra.append(effect)
             sizes.append(tolerance * size)
+    # sensor offsets start with zero spread: `offset` estimates them first
     offsets = [Effect(OutputOffset.name, label) for label in structure.linear_model.output_labels]
     extra += sorted(set(offsets) - set(structure.effects), key=offsets.index)
     sizes += [0.0] * (len(extra) - len(sizes))
     whole = Structure(structure.model, [*structure.effects, *extra], constants=structure.constants)
     q = whole.n_parameters
+    # covariance: as given for estimated coefficients, tolerance^2 for the others
     spread = np.zeros((q, q))
     if covariance is not None:
         spread[: theta.size, : theta.size] = covariance
     spread[range(theta.size, q), range(theta.size, q)] = np.square(sizes)
+    # those that act as a force along the motion can be columns
     laws = [(whole.effects[p.effect].spec, p.name) for p in whole.parameters]
     known = np.array([law.along_motion and name not in law.shaping for law, name in laws], dtype=bool)
     finite = np.isfinite(spread).all(axis=0) & (np.diag(spread) > 0)
@@ -441,11 +466,13 @@ def offset(numbers: Numbers, data: Measurement, use: NDArray[np.uint8]) -> Numbe
     """
     structure, theta = numbers.structure, numbers.theta
     n, ny = structure.n_states, structure.n_outputs
+    # free run of the model, or the smallest gain if it does not decay
     gain, radius = gain_of(structure, theta, data, 0.0, False)
     if radius > FREE:
         gain, _ = gain_of(structure, theta, data, RATIOS[1], False)
     if not np.isfinite(gain).all():
         return numbers
+    # residual weighted by the standard deviation of each output
     spread = np.array([np.std(y[there > 0]) for y, there in zip(data.outputs, use.T, strict=True)])
     segment = Segment(
         structure, theta, numbers.substeps, data, use, np.zeros(n), gain, np.zeros((ny, 0)),
@@ -455,6 +482,7 @@ def offset(numbers: Numbers, data: Measurement, use: NDArray[np.uint8]) -> Numbe
     at = np.flatnonzero(np.array(kinds) == OutputOffset.name)
     beyond = np.full(at.size, np.inf)
     engine = Engine(structure, data, substeps=numbers.substeps)
+    # least squares for offsets and initial state
     fit = descend(segment, engine, gain, segment.x0, theta.copy(), at, -beyond, beyond)
     theta = theta.copy()
     theta[at] = fit.coefficients
@@ -486,6 +514,7 @@ def settled(
     healthy : Healthy
         Observer and noise.
     """
+    # alternate: noise for given parameters, parameters for given noise
     before, most = numbers, np.inf
     for _ in range(_ROUNDS):
         healthy, sound, scale = learn(
@@ -494,14 +523,15 @@ def settled(
         most = max(healthy.ratio, RATIOS[1])
         if numbers.loose.size == 0:
             break
-        last, numbers = numbers, _fitted(before, numbers.theta, data, sound, scale, healthy)
+        last, numbers = numbers, _fit_parameters(before, numbers.theta, data, sound, scale, healthy)
+        # stop where no parameter moved by 0.3 standard deviations
         moved = np.abs(numbers.theta - last.theta)[numbers.loose]
         if (moved < _AT_REST * standard_deviations(numbers.covariance)).all():
             break
     return numbers, healthy
 
 
-def _fitted(
+def _fit_parameters(
     before: Numbers,
     start: Array,
     data: Measurement,
@@ -511,6 +541,7 @@ def _fitted(
 ) -> Numbers:
     """The numbers at the maximum of their posterior."""
     structure, loose = before.structure, before.loose
+    # maximum a posteriori: the prior is `before`, the data are the innovations
     outputs = data.outputs - healthy.mean[:, None]
     shifted = Measurement(data.inputs, outputs, dt=data.dt, hold=data.hold)
     engine = Engine(structure, shifted, substeps=before.substeps)
@@ -518,11 +549,13 @@ def _fitted(
         structure, before.theta, before.substeps, shifted, use, healthy.x0, healthy.gain, healthy.filters,
         healthy.mix, scale, True,
     )  # fmt: skip
+    # square root of the prior's precision, by eigenvectors of the correlation
     size = standard_deviations(before.covariance)
     values, vectors = np.linalg.eigh(before.covariance / np.outer(size, size))
     precision = (vectors / np.sqrt(np.maximum(values, _LEAST))).T / size
     centre = before.theta[loose]
     bounds = np.array([(structure.parameters[i].lower, structure.parameters[i].upper) for i in loose])
+    # the prior adds rows to the least-squares problem
     found = descend(
         segment, engine, healthy.gain, healthy.x0, start, loose, bounds[:, 0], bounds[:, 1],
         prior=lambda point: Rows(precision @ (point - centre), precision),

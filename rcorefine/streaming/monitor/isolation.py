@@ -80,6 +80,7 @@ class Segment:
 
         They and the past of the filters were measured.
         """
+        # a sample counts if it and the q samples before were measured
         whole = self.use.all(axis=1)
         q = self.filters.shape[1]
         if whole.size <= q:
@@ -95,10 +96,12 @@ class Segment:
         ny, N = errors.shape[:2]
         there = self.judged
         flags = self.use.T > 0
+        # autoregressive filter of each output, over its standard deviation
         shape = flags.reshape(ny, N, *([1] * (errors.ndim - 2)))
         filled = np.where(shape, errors, 0.0)
         white = np.array([innovations(np.r_[1.0, self.filters[i]], filled[i]) for i in range(ny)])
         white /= self.scale.T.reshape(shape.shape)
+        # then decorrelate the outputs
         mixed = np.tensordot(self.mix, white, axes=(1, 0))[:, there]
         return np.asarray(mixed.reshape(-1, *errors.shape[2:]))
 
@@ -141,10 +144,12 @@ class CandidateFit:
     @property
     def reaches_noise(self) -> bool:
         """Return whether no more is left than independent noise."""
+        # chi-square test of the remaining sum of squares
         return self.cost < float(chi2.isf(_LEFT, max(self.points, 1)))
 
     def possible(self, healthy: Structure) -> bool:
         """Return whether a friction that the model lacks resists the motion."""
+        # friction of the wrong sign would drive the motion
         effect = self.effect
         if effect is None or any((e.kind, e.place) == (effect.kind, effect.place) for e in healthy.effects):
             return True
@@ -156,6 +161,7 @@ class CandidateFit:
         """Return whether the samples determine a size of the effect."""
         if self.effect is None:
             return True
+        # is any size at least `moved` standard deviations from zero?
         free, shaping = self.effect.free, self.effect.spec.shaping
         sizes = [i for i, name in enumerate(free) if name not in shaping] or list(range(len(free)))
         return bool((np.abs(self.coefficients) > levels().moved * self.std)[sizes].any())
@@ -191,6 +197,7 @@ def fit_candidate(
     -------
     Fit
     """
+    # healthy model plus the candidate, with the widths of its law on this motion
     old = segment.structure
     added = [] if effect is None else [effect]
     base = Structure(old.model, [*old.effects, *added], constants=old.constants)
@@ -200,10 +207,12 @@ def fit_candidate(
     steps = max(segment.substeps, 1 if structure.is_linear else 2)
     engine = Engine(structure, segment.data, substeps=steps)
     p0, p = old.n_parameters, structure.n_parameters
+    # state and gain of the healthy model; the candidate's own states start at zero
     theta0 = np.concatenate([segment.theta, structure.start()[p0:]])
     extra = structure.n_states - old.n_states
     x0 = np.pad(segment.x0, (0, extra))
     gain = np.pad(segment.gain, ((0, extra), (0, 0)))
+    # bounds a little inside those of physics
     lower = np.array([q.lower for q in structure.parameters[p0:]])
     upper = np.array([q.upper for q in structure.parameters[p0:]])
     known = np.isfinite(lower)
@@ -212,12 +221,15 @@ def fit_candidate(
     lower[lags] = np.maximum(lower[lags], 1e-3 * segment.data.dt)
     known = np.isfinite(upper)
     upper[known] -= 1e-3 * np.abs(upper[known])
+    # starts: those given, then those that the motion suggests
     points = [np.asarray(s, dtype=float) for s in starts if len(s) == p - p0 and np.isfinite(s).all()]
     if added and not (alone and points):
         points += [s[p0:] for s in shape_starts(structure, theta0, motion, len(old.effects))[:_MOST_STARTS]]
+    # damped Gauss-Newton from each start; the best one counts
     best: CandidateFit | None = None
     for start in points or [np.zeros(0)]:
         low, high = lower.copy(), upper.copy()
+        # gap, limit or fading speed: within a factor of 8 of the start
         for i, q in enumerate(structure.parameters[p0:]):
             if (
                 q.name in structure.effects[q.effect].spec.shaping
@@ -262,6 +274,7 @@ def descend(
     sizes = np.concatenate([natural_sizes(engine.structure, [engine.data])[loose], np.ones(free)])
     nothing = Rows(np.full(1, np.inf), np.zeros((1, p + free)))
 
+    # residual and Jacobian, whitened: coefficients first, then the initial state
     def rows(point: Array) -> Rows:
         there = theta.copy()
         there[loose] = point[:p]
@@ -275,6 +288,7 @@ def descend(
         r = segment.whiten(run.outputs - y)
         columns = np.r_[loose, theta.size : theta.size + free]
         J = segment.whiten(run.sensitivity[:, :, columns]) if slopes else np.zeros((r.size, 0))
+        # prior as additional rows
         if prior is not None:
             also = prior(point[:p])
             wide = np.pad(also.jacobian, ((0, 0), (0, J.shape[1] - also.jacobian.shape[1])))
@@ -285,6 +299,7 @@ def descend(
 
     steps = 0
 
+    # converged, or too far behind the best candidate so far
     def settled(cost: float, gain: float) -> bool:
         nonlocal steps
         steps += 1
@@ -300,6 +315,7 @@ def descend(
         evaluations=_EVALUATIONS if start.size + free else 1,
         settled=settled,
     )
+    # covariance (J'J)^-1 of coefficients and initial state
     point, cost, (r, J, _) = run.point, 2.0 * run.cost, run.rows
     whole = covariance(J.T @ J) if math.isfinite(cost) else np.diag(np.full(p + free, np.inf))
     doubt = whole[p:, p:] if free else np.zeros((n, n))

@@ -84,12 +84,14 @@ def explained(
     It is that of the free run if there is one.
     """
     n = numbers.structure.n_states
+    # a stable model runs free, another one with the observer
     step = numbers.structure.discretize(theta, data.dt, derivatives=False).M[0, -n:, :n]
     free = float(np.abs(np.linalg.eigvals(step)).max(initial=0.0)) <= FREE
     engine, there = Engine(numbers.structure, data, substeps=numbers.substeps), use > 0
     K = None if free or not gain.any() else gain
     x0 = estimate_initial_state(engine, theta, gain=K, use=there)
     run = engine.run(theta, x0, sensitivity=False, gain=K, use=there, check=False)
+    # fit of each output over the samples that were measured
     rows = zip(data.outputs, run.outputs, there.T, strict=True)
     return np.array([fit_percent(y[known], yh[known]) for y, yh, known in rows])
 
@@ -116,6 +118,7 @@ def adequacy_of(
     -------
     Adequacy
     """
+    # which parameters moved by more than their uncertainty, relative to their size
     change = (numbers.theta - given.theta)[numbers.loose]
     clear = np.abs(change) > levels().moved * np.sqrt(np.maximum(np.diag(numbers.covariance), 0.0))
     moved: dict[str, float] = {}
@@ -125,11 +128,13 @@ def adequacy_of(
         size = nominal_size(numbers.structure, effect) or abs(float(theta))
         if seen and size > 0:
             moved[effect.label if len(effect.free) == 1 else f"{effect.label}: {name}"] = float(value) / size
+    # is a candidate above the threshold already in the learning phase?
     _, _, gains = linear_estimates(stream, 0)
     best = int(np.argmax(gains))
     score = math.sqrt(2 * max(float(gains[best]), 0.0))
     lacks = score >= stream.windows.levels[-1]
     missing = stream.bank.effects[stream.bank.owner[best]] if lacks else None
+    # a shift far beyond the tolerance, too, means that the model is not adequate
     far = max(map(abs, moved.values()), default=0.0) > levels().moved_wide * tolerance > 0
     before, after = (tuple(map(float, fit)) for fit in fits)
     sentence = _sentence(before, after, moved, missing, score, far, dt)
@@ -145,25 +150,26 @@ def _sentence(
     far: bool,
     dt: float,
 ) -> str:
-    figures = [" and ".join(f"{one:.1f} %" for one in fit) for fit in (before, after)]
-    said = f"The model explains {figures[0]} of the learning phase."
+    # first the fits, then the largest changes, then what is missing, then the next step
+    figures = [" and ".join(f"{percent:.1f} %" for percent in fit) for fit in (before, after)]
+    sentence = f"The model explains {figures[0]} of the learning phase."
     if moved:
         largest = sorted(moved, key=lambda name: -abs(moved[name]))[:_SHOWN]
         by = ", ".join(f"{name} by {100 * moved[name]:+.2g} %" for name in largest)
         by += ", ..." if len(moved) > _SHOWN else ""
-        said += f" With re-estimated parameters ({by}) it explains {figures[1]}."
+        sentence += f" With re-estimated parameters ({by}) it explains {figures[1]}."
     if missing is None and not far:
-        return said + " The residual cannot be distinguished from noise: the model is adequate."
+        return sentence + " The residual cannot be distinguished from noise: the model is adequate."
     effects = "" if missing is None else f"[rco.Effect({missing.kind!r}, {missing.place!r})], "
     if missing is not None:
-        said += (
+        sentence += (
             f" {missing.label} or a similar effect is missing ({score:.0f} standard deviations). Changes "
             "that resemble it are detected late."
         )
     else:
-        said += " The changes are larger than the tolerance allows."
+        sentence += " The changes are larger than the tolerance allows."
     return (
-        said + f" Next: better = rco.refine(model, healthy_record, {effects}free='linear'), then "
+        sentence + f" Next: better = rco.refine(model, healthy_record, {effects}free='linear'), then "
         f"rco.Monitor(better, dt={dt:.6g})."
     )
 
@@ -185,22 +191,27 @@ def learned(monitor: Monitor, block: Block) -> tuple[Stream, Adequacy]:
     block : Block
         Samples of the learning phase.
     """
+    # learning needs every input
     if not block.known.all():
         sample = int(np.argmin(block.known))
         raise DataError(
             f"an input is missing at sample {sample}, in the learning phase of {len(block.inputs)} samples; "
             "start the stream where the inputs are whole"
         )
+    # prior of the parameters from the model and the tolerance
     data = Measurement(block.inputs.T, block.outputs.T, dt=monitor.dt, hold=monitor.hold)
     period = monitor._period
     given = numbers_of(
         monitor._structure, monitor._theta, monitor._substeps, monitor._covariance, monitor.tolerance
     )
     check_outputs(given.structure, data, block.use)
+    # offsets first, or observer and parameters would follow them
     given = offset(given, data, block.use)
+    # noise and parameters by alternation, then the columns of all candidates
     numbers, healthy = settled(given, data, block.use, monitor.disturbance, period)
     bank = build_bank(numbers, monitor.candidates, data, monitor.hold, healthy.gain)
     stream = stream_of(monitor, numbers.structure, numbers.theta, healthy, bank)
+    # the same samples run through the windows, which calibrates the statistics
     watch_block(stream, monitor._watch, monitor._course, block)
     before, after = (explained(numbers, at.theta, data, block.use, healthy.gain) for at in (given, numbers))
     return stream, adequacy_of(stream, given, numbers, monitor.tolerance, (before, after), monitor.dt)
@@ -208,6 +219,7 @@ def learned(monitor: Monitor, block: Block) -> tuple[Stream, Adequacy]:
 
 def stream_of(monitor: Monitor, structure: Structure, theta: Array, healthy: Healthy, bank: Bank) -> Stream:
     """Stream of a monitor, from what it has learned."""
+    # forgetting factor of each window, threshold of each from the rate of false alarms
     keep = 1.0 - 1.0 / monitor._lengths
     heights = threshold(monitor.false_alarms / PER, keep, bank.watched)
     windows = Windows(keep, heights, monitor._block, BLOCKS, 1.0 / (_SLOW * monitor._period))
@@ -221,6 +233,7 @@ def record_to_watch(model: LinearModel, dt: float, hold: str, data: Any) -> Meas
     It must have the sample time and the hold of the stream.
     """
     data = as_record(data)
+    # same sampling time, same hold, channels by name
     if not math.isclose(data.dt, dt, rel_tol=1e-6):
         raise DataError(f"the record has dt = {data.dt:g} s and the monitor {dt:g} s; resample one")
     if data.hold != hold:
@@ -239,6 +252,7 @@ def window_lengths(windows: tuple[int, int] | None, period: int) -> Array:
 
     `period` is that of the first mode.
     """
+    # from a quarter of the first mode's period to 200 periods
     if windows is None:
         shortest, longest = max(8, period // 4), _LONGEST * period
     else:
@@ -247,6 +261,7 @@ def window_lengths(windows: tuple[int, int] | None, period: int) -> Array:
             raise ct.ControlDimension(f"windows has {len(pair)} entries; give the shortest and the longest")
         shortest = as_size(pair[0], "windows[0]", 4, "samples in the shortest window")
         longest = as_size(pair[1], "windows[1]", shortest, "samples in the longest window")
+    # doubled from one to the next
     count = max(1, round(math.log2(longest / shortest)) + 1)
     return np.asarray(shortest * 2.0 ** np.arange(count))
 
@@ -285,9 +300,12 @@ def crossing_rate(level: float, keep: float) -> float:
     >>> 0.9 < crossing_rate(4.0, 0.99) / 7.1e-6 < 1.1
     True
     """
+    # statistic of a forgetting window: autocorrelation exp(-c |k|)
     c = -math.log(keep)
     density = math.exp(-0.5 * level * level) / math.sqrt(2 * math.pi)
+    # clusters of crossings of a Gaussian process, corrected for discrete time (Siegmund)
     clusters = 2 * c * level * density * math.exp(-0.583 * level * math.sqrt(2 * c))
+    # never more than the chance of a single sample
     return min(clusters, math.erfc(level / math.sqrt(2)))
 
 
@@ -308,9 +326,11 @@ def threshold(rate: float, keep: Array, columns: int) -> Array:
     ndarray, shape (M,)
         Levels.
     """
+    # equal share of the false alarms for each column and window
     goal = math.log(rate / (columns * keep.size))
 
     def excess(level: float, share: float) -> float:
         return math.log(max(crossing_rate(level, share), 1e-300)) - goal
 
+    # crossing rate = share, solved for the level
     return np.array([brentq(excess, 1.5, 30.0, args=(float(share),), xtol=1e-6) for share in keep])

@@ -154,9 +154,11 @@ class Monitor(Result):
         patience: float = 4.0,
         tolerance: float | None = None,
     ) -> None:
+        # model with its effects and coefficients; their covariance where they were estimated
         self._structure, self._theta, self._substeps = as_base(model, hold)
         covariance = getattr(model, "covariance", None)
         self._covariance = None if covariance is None else np.asarray(covariance, dtype=float)
+        # relative uncertainty of the nominal parameters
         usual_error = levels().off if tolerance is None else tolerance
         self.tolerance = as_number(usual_error, "tolerance", least=0.0, error=ModelError)
         if dt is None:
@@ -177,9 +179,12 @@ class Monitor(Result):
             self.disturbance = as_number(disturbance, "disturbance", least=0.0, error=ModelError)
         self.patience = as_number(patience, "patience (in periods)", least=0.0, error=ModelError)
         self.candidates = checked_candidates(self._structure.model, candidates)
+        # period of the first mode: the unit of all durations
         self._period = period_of(self._structure, self._theta, self.dt)
+        # learning phase: 2,000 samples, at least 20 periods
         usual = max(_LEAST, _LEARN_PERIODS * self._period)
         self.learn = as_size(usual if learn is None else learn, "learn", 200, "samples of the learning phase")
+        # scores are summed over blocks of an eighth of a period
         self._block = max(1, self._period // 8)
         self.windows = windows
         self._lengths = window_lengths(windows, self._period)
@@ -189,6 +194,7 @@ class Monitor(Result):
     @alone
     def reset(self) -> None:
         """Forget all samples; the learning phase starts again."""
+        # observer and noise are learned again
         linear = self._structure.linear_model
         self._stream: Stream | None = None
         self._waiting: list[Block] = []
@@ -228,8 +234,10 @@ class Monitor(Result):
         Several threads may call it in turn.
         """
         linear = self._structure.linear_model
+        # a missing input holds its last value
         latest = None if self.missing == "raise" else self._latest
         block = checked_block(linear, self.dt, w, y, self._count, latest)
+        # an update that fails leaves the monitor as it was
         restore = self._way_back(len(block.inputs))
         try:
             self._go_on(block)
@@ -242,6 +250,7 @@ class Monitor(Result):
 
         It undoes an update of `coming` samples that failed.
         """
+        # keep references to what is replaced, copies of what changes in place
         names = "_stream", "_count", "_latest", "remarks", "adequacy"
         before: dict[str, Any] = {name: getattr(self, name) for name in names}
         before |= {name: copy(getattr(self, name)) for name in ("_waiting", "_watch", "_course")}
@@ -256,6 +265,7 @@ class Monitor(Result):
 
     def _go_on(self, block: Block) -> None:
         self._latest = block.inputs[-1].copy()
+        # collect the learning phase, then learn and go through it
         position = 0
         if self._stream is None:
             position = min(self.learn - self._count, len(block.inputs))
@@ -265,8 +275,9 @@ class Monitor(Result):
                 return
             whole = Block.joined(self._waiting)
             self._stream, self.adequacy = learned(self, whole)
-            said = () if self.adequacy.adequate else (self.adequacy.sentence,)
-            self.remarks, self._waiting = idle_remarks(self._stream) + said, []
+            caution = () if self.adequacy.adequate else (self.adequacy.sentence,)
+            self.remarks, self._waiting = idle_remarks(self._stream) + caution, []
+        # after it, sample by sample through observer and windows
         watch_block(self._stream, self._watch, self._course, block, position)
         self._count = self._stream.n_samples
 
@@ -289,6 +300,7 @@ class Monitor(Result):
         DataError
             If sampling time or hold differ.
         """
+        # channels in the order of the model
         ordered = record_to_watch(self._structure.linear_model, self.dt, self.hold, data)
         self.update(ordered.inputs, ordered.outputs)
         return self
@@ -366,6 +378,7 @@ class Monitor(Result):
     def timepts(self) -> Array:
         """Times of the rows of `probability`."""
         c = self._course
+        # a row stands after its last sample
         return np.asarray((c.samples[: c.count] - 1) * self.dt)
 
     @property
@@ -404,6 +417,7 @@ class Monitor(Result):
         """
         if self._stream is None:
             return ()
+        # fits since the change while an alarm is on, otherwise the linear statistics
         if self._watch.rows:
             return tuple(self._watch.rows)
         return tuple(linear_rows(self._stream))

@@ -56,6 +56,7 @@ class _Base:
 
 def content_of(monitor: Monitor) -> dict[str, Any]:
     """All of a monitor."""
+    # settings, then what was learned, then what runs with the samples
     s = monitor._structure
     stream = monitor._stream
     return {
@@ -93,23 +94,28 @@ def restored(cls: type[Monitor], content: Any) -> Monitor:
 
     Every part is checked against that of a fresh monitor.
     """
+    # a file of another layout holds other parameters
     if content.get("layout") != _LAYOUT:
         raise DataError(
             "this monitor was saved by another version of rcorefine (one without number: before 0.2), which "
             "learned other parameters: build it again and let it learn, or load it with that version"
         )
+    # a fresh monitor of the same settings; substeps set the size of loops, so check them first
     settings, base = dict(content["settings"]), content["base"]
     check_like(base["substeps"], 1, "substeps of the model")
     check_range(base["substeps"], 1, MOST_SUBSTEPS, "substeps of the model")
     monitor = cls(_Base(base), settings.pop("candidates"), **settings)
     check_monitor(monitor, content)
+    # counts, samples that wait, remarks
     monitor._count, monitor._latest = content["count"], content["latest"]
     monitor._waiting = list(content["waiting"])
     monitor.remarks = tuple(content["remarks"])
     monitor.adequacy = content["adequacy"]
+    # the watch keeps what the settings determine
     kept = {name: getattr(monitor._watch, name) for name in _FIXED}
     monitor._watch = replace(content["watch"], **kept)
     monitor._course = Course.restored(content["course"])
+    # learned parts: model with its parameters, noise, columns, and the memory of the loop
     if content["stream"] is not None:
         parts, fixed = content["stream"], monitor._structure
         structure = Structure(fixed.model, tuple(parts["numbers"]["effects"]), constants=fixed.constants)
@@ -140,6 +146,7 @@ def check_monitor(monitor: Monitor, content: Mapping[str, Any]) -> None:
     DataError
         If a monitor with these settings cannot have left it.
     """
+    # counts, last inputs and waiting samples fit the model
     s = monitor._structure
     count = content["count"]
     check_like(monitor._theta, np.zeros(s.n_parameters), "coefficients of the model")
@@ -150,9 +157,11 @@ def check_monitor(monitor: Monitor, content: Mapping[str, Any]) -> None:
     for part in content["waiting"]:
         check_like(part, block, "waiting", _BLOCK)
     waiting = sum(len(part.inputs) for part in content["waiting"])
+    # during the learning phase samples wait; afterwards none do
     learning = content["stream"] is None
     check_range(waiting, count if learning else 0, count if learning else 0, "samples that wait")
     check_range(count, 0 if learning else monitor.learn, monitor.learn - 1 if learning else _INF, "count")
+    # history and alarm have the width of the candidates
     _check_course(content["course"], len(monitor.candidates) + 4, count)
     _check_watch(content["watch"], monitor)
     for remark in content["remarks"]:
@@ -173,8 +182,10 @@ def check_memory(found: Any, stream: Stream, count: int) -> None:
     DataError
         If this stream cannot have left it.
     """
+    # shapes and types of a stream that begins
     check_like(found, stream.memory, "memory", {"w": "rows"})
     check_range(len(found["w"]), 0, stream.observer.lag, "rows of memory.w")
+    # values within their range: variances positive, counts not negative
     for name, (low, high) in _RANGES.items():
         check_range(found[name], low, high, f"memory.{name}")
     check_range(found["counters"], [count, 0], [count, count], "memory.counters")
@@ -183,6 +194,7 @@ def check_memory(found: Any, stream: Stream, count: int) -> None:
 
 
 def _check_course(found: Any, width: int, count: int) -> None:
+    # rows of the history: any number, one width
     fresh = {"stride": 1, "rows": np.full((1, width), np.nan), "samples": np.zeros(1, dtype=np.int64)}
     check_like(found, fresh, "course", {"rows": "rows", "samples": "rows"})
     check_range(found["stride"], 1, _INF, "course.stride")
@@ -195,6 +207,7 @@ def _check_watch(found: Any, monitor: Monitor) -> None:
 
     The types of their fields were checked on reading.
     """
+    # alarm and ranking name candidates of this monitor and their coefficients
     ny = monitor._structure.n_outputs
     check_like(found.mean, np.zeros(ny if len(found.mean) else 0), "watch.mean")
     if found.gains is not None:
@@ -213,16 +226,19 @@ def _check_watch(found: Any, monitor: Monitor) -> None:
 def _check_parts(found: Any, monitor: Monitor) -> None:
     """Check the learned parts: observer, noise and columns."""
     s, healthy, bank = monitor._structure, found["healthy"], found["bank"]
+    # shapes from the model; the number of columns and the order of the noise from the file
     sizes = {"n": s.n_states, "ny": s.n_outputs, "sensed": s.n_states + s.n_inputs}
     check_schema(healthy, Healthy, sizes, "healthy")
     check_range(sizes["q"], 0, MAX_ORDER, "orders of the noise")
     check_like(healthy.orders, (0,) * s.n_outputs, "healthy.orders")
     check_schema(bank, Bank, sizes, "bank")
+    # first the candidates in their order, then the effects of uncertain parameters
     watched = len(monitor.candidates)
     if as_effects(bank.effects, "bank.effects")[:watched] != [*monitor.candidates]:
         raise DataError("bank.effects are not the candidates: the file is damaged")
     check_range(bank.watched, 1, sizes["k"], "bank.watched")
     check_range(bank.numbers, 0, sizes["k"] - 1, "bank.numbers")
+    # each column has an owner, and each effect a column
     owner = bank.owner.tolist()
     if (
         set(owner) != set(range(len(bank.effects)))

@@ -38,6 +38,7 @@ def as_base(model: Any, hold: str) -> tuple[Structure, Array, int]:
     ModelError
         If the model is discrete, was found to have another hold, or holds what needs the future.
     """
+    # the monitor needs a continuous model whose effects act at once
     refuse_discrete(model)
     structure, theta, substeps = structure_of(model)
     check_stream_hold(structure.model, hold)
@@ -55,11 +56,13 @@ def period_of(structure: Structure, theta: Array, dt: float) -> int:
     Where nothing swings, it is two time constants of the slowest state. The result is kept between 8 and
     100 000.
     """
+    # poles of the linear part; damping ratio up to 0.98 counts as a mode
     poles = np.linalg.eigvals(structure.matrices(theta).A.astype(float))
     swinging = np.abs(poles[np.abs(poles.imag) > 0.2 * np.abs(poles)])
     if swinging.size:
         samples = 2 * math.pi / swinging.min() / dt
     else:
+        # no oscillation: two time constants of the slowest pole that is no integrator
         rates = np.abs(poles)
         rates = rates[rates > 1e-6 * rates.max(initial=0.0)]
         samples = 2 / rates.min() / dt if rates.size else 50
@@ -92,6 +95,7 @@ class Observer:
         self.theta, self.dt, self.hold, self.substeps = theta, dt, hold, substeps
         self.gain = np.ascontiguousarray(gain)
         self._model = setting(s, theta, dt / substeps, False).model
+        # delays at the inputs look back on past samples
         delays = [
             float(s.value(theta, i, s.effects[i].coefficients[0]))
             for i, _ in s.input_statics
@@ -142,10 +146,12 @@ class Observer:
             States after the correction.
         """
         s = self.structure
+        # past inputs in front, for delays and for the first step
         past = memory["w"]
         before = min(len(past), 1)  # the sample before, from which the first step starts
         whole = np.concatenate([past, W])
         N, ny, n, m = W.shape[0] + before, s.n_outputs, s.n_states, s.n_ports
+        # inputs with their effects at the nodes of the substeps
         signal = InputSignal(np.ascontiguousarray(whole.T), self.dt, self.hold, self.substeps)
         drive = signal.drive(s, self.theta)
         skip = len(whole) - N
@@ -154,11 +160,13 @@ class Observer:
         x, z = memory["x"].copy(), memory["z"].copy()
         Yout, SY = np.full((N, ny), np.nan), np.zeros((N, ny, 0))
         X, F = np.full((N, n), np.nan), np.full((N if m else 0, m), np.nan)
+        # divergence: 1e12 times the signals
         limit = 1e12 * (1.0 + float(np.abs(x).max(initial=0.0) + np.abs(Y).max() + np.abs(W).max()))
         first_row = skip * self.substeps * max(drive.course, 1)
         now = drive.held._replace(
             W=np.ascontiguousarray(drive.W[first_row:]), Wout=np.ascontiguousarray(drive.Wout[skip:])
         )
+        # steady-state gain: correct with each measured output, then march to the next sample
         observer = Corrections(measured, flags, self.gain, np.zeros((0, 0)))
         into = MarchResult(Yout, SY, X, F, np.full(ny, np.inf), limit, self.substeps)
         blew_up = march(self._model, now, observer, MarchState(x, z, np.zeros((0, n))), into)
@@ -168,6 +176,7 @@ class Observer:
                 f"the observer of the healthy model left all bounds at sample {first + blew_up - before}; "
                 "check the model, the units of the samples, or raise disturbance"
             )
+        # state and past inputs at the end of the block
         after = {"x": x, "z": z, "w": whole[-self.lag :].copy()}
         return after, Yout[before:], X[before:]
 
@@ -229,6 +238,7 @@ class Stream:
     memory: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        # settings of the loop; the threshold is compared with squares
         bank, h, w = self.bank, self.healthy, self.windows
         self._columns = bank.columns
         self._fixed = kernels.Fixed(
@@ -237,6 +247,7 @@ class Stream:
             bank.numbers, bank.root, w.block, max(4 * w.fading, 1 / _CROWDED),  # four periods
         )  # fmt: skip
         self._gaps()
+        # a loaded stream brings its memory
         if self.memory:
             return
         k, M, p = self.bank.watched, self.windows.keep.size, self.bank.numbers.size
@@ -244,6 +255,7 @@ class Stream:
         n, ny = self.observer.gain.shape
         nw = self.observer.structure.n_inputs
         q = self.healthy.filters.shape[1]
+        # circular buffers: as long as all blocks together
         kept = self.windows.block * self.windows.blocks
         inner = np.full((3, columns), np.nan)
         inner[0] = 0.0
@@ -288,6 +300,7 @@ class Stream:
         It works after up to `coming` more samples.
         """
         mem = self.memory
+        # rows of the buffers that the coming samples overwrite
         kept = len(mem["ring_w"])
         place = (self.n_samples + np.arange(min(coming, kept))) % kept
         rings = {key: mem[key][place] for key in _RINGS}
@@ -325,10 +338,13 @@ class Stream:
         """
         mem, first = self.memory, self.n_samples
         given, use = use, use.copy()  # samples that stand out alone are marked in it
+        # samples that count for the scores: none soon after a gap
         calm, pause = self._calm(known, use)
         state = {key: mem[key] for key in ("x", "z", "w")}
+        # observer, and forces of the candidates along its motion
         after, before, F, inner = self._motion(state, W, Y, use, first)
         ratio, scale = np.zeros(len(W)), np.ones(Y.shape)
+        # whiten, update the windows, compare with the thresholds
         state_of = kernels.State(*(mem[name] for name in kernels.State._fields))
         samples = Y - after[1], after[1], use, calm, F
         done = int(kernels.scores(samples, self._fixed, state_of, stop, scale, ratio))
@@ -340,9 +356,11 @@ class Stream:
         mem.update(after[0])
         mem["inner"] = inner
         mem["pause"][:] = pause
+        # a missing input: the state is found anew some time later
         gaps = np.flatnonzero(known[:done] == 0)
         if gaps.size:
             mem["lost"][0] = first + gaps[-1] + 1
+        # keep the samples for the fit after an alarm
         at = np.arange(max(first, first + done - len(mem["ring_w"])), first + done)
         place, here = at % len(mem["ring_w"]), at - first
         mem["ring_w"][place], mem["ring_y"][place] = W[here], Y[here]
@@ -353,6 +371,7 @@ class Stream:
     @property
     def wait(self) -> int:
         """Samples after a missing input before the state is found anew."""
+        # the observer's settling time, within what the buffers hold
         enough = 4 * (self.observer.structure.n_states + len(self.memory["past_e"]))
         return max(min(self.healthy.settle, _FIND * self.windows.block), enough)
 
@@ -368,6 +387,7 @@ class Stream:
         The energy of the whitened innovations by a state error, from a sample on, bounds the relative
         increase of the variance of every statistic (Cauchy-Schwarz).
         """
+        # error system: state of the observer and the past of the whitening filters
         bank, h = self.bank, self.healthy
         n, (ny, q) = len(bank.Phi), h.filters.shape
         level = np.sqrt(h.noise[:, 0] + (h.noise[:, 1] + h.noise[:, 2]) * h.power)
@@ -381,6 +401,7 @@ class Stream:
             )
             seen[:, rows] = np.diag(h.filters[:, a])
         seen = h.mix / level @ seen
+        # observability Gramian by doubling: sum of (step^k)' seen' seen step^k
         energy, self._steps = seen.T @ seen, [step]  # after 1, 2, 4, ... samples
         with np.errstate(all="ignore"):
             for _ in range(math.ceil(math.log2(4 * h.settle + 2))):
@@ -390,6 +411,7 @@ class Stream:
             self._energy = energy
             impulse = np.eye(1, 1000)[0]
             color = [np.linalg.norm(lfilter([1.0], np.r_[1.0, row], impulse)) for row in h.filters]
+            # covariance of the state after 1, 2, 4, ... missed corrections
             missed = bank.Phi @ h.gain * (level * color)  # what one correction does to the state
             doubt, open_loop = missed @ missed.T, bank.Phi
             self._pauses = []  # after 1, 2, 4, ... samples without an output
@@ -403,6 +425,7 @@ class Stream:
 
         `doubt` is the covariance of the state, (n, n).
         """
+        # bisection over powers of two: when does the state error fall below the limit?
         n, samples = len(doubt), 0
         P = np.zeros_like(self._energy)
         P[:n, :n] = doubt
@@ -423,6 +446,7 @@ class Stream:
 
         Samples after a gap do not count until the state is known well enough.
         """
+        # count missing outputs in a row; after a gap wait as long as its length demands
         pause, gone = map(int, self.memory["pause"])
         whole = np.asarray(use.all(axis=1))
         if known.all() and whole.all() and pause == gone == 0:
@@ -432,6 +456,7 @@ class Stream:
             if whole[i] and gone:
                 pause = max(pause, self._pauses[min((gone - 1).bit_length(), len(self._pauses) - 1)])
             gone = 0 if whole[i] else gone + 1
+            # a missing input makes the state uncertain for longer
             if not there:
                 pause = max(pause, self.wait + 1)
             calm[i] = pause == 0
@@ -471,6 +496,7 @@ class Stream:
     def variances(self) -> Array:
         """Variance of the scores by chance, (M, k); inf where nothing is seen."""
         mem = self.memory
+        # variance of N under no change, widened by doubt and calibration
         wide = (mem["V"] + mem["doubt"]) * mem["factor"]
         return np.where(wide > 1e-200, wide, np.inf)
 
@@ -484,6 +510,7 @@ class Stream:
 
         The blocks are in order of time.
         """
+        # the last blocks, oldest first
         w = self.windows
         last = (self.n_samples - 1) // w.block
         index = np.arange(max(0, last - w.blocks + 1), last + 1)
@@ -501,12 +528,15 @@ class Stream:
         `doubt` is its covariance. None means that the state is exact.
         """
         mem = self.memory
+        # run the observer again from the state at `start`
         W, Y, use, _, _ = self.recent(start)
         begin = {"x": state, "z": mem["z"], "w": mem["w"][:0]}
         after, _, _ = self.observer.advance(begin, W, Y, use, start)
         mem["x"], mem["z"] = after["x"], after["z"]
+        # whitening filters need a new past
         mem["known"][:] = 0
         mem["lost"][0] = -1
+        # wait until the remaining uncertainty no longer matters
         if doubt is not None:
             wait = self._matters(doubt) - (self.n_samples - start)
             mem["pause"][0] = max(int(mem["pause"][0]), wait)

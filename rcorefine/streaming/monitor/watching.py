@@ -127,6 +127,7 @@ def standing(stream: Stream) -> tuple[float, Array]:
         Half of (squared score - squared threshold), the best of each candidate's
         columns and windows; 0 at the threshold.
     """
+    # squared score over its variance, for each window and column, (M, k)
     levels = stream.windows.levels**2
     square = stream.memory["N"] ** 2 / stream.variances()
     ratio = float(np.sqrt((square / levels[:, None]).max(initial=0.0)))
@@ -135,6 +136,7 @@ def standing(stream: Stream) -> tuple[float, Array]:
 
 
 def _by_candidate(stream: Stream, values: Array) -> Array:
+    # best column of each candidate
     gain = np.full(len(stream.bank.candidates), -np.inf)
     np.maximum.at(gain, stream.bank.owner[: values.size], values)
     return gain
@@ -159,7 +161,9 @@ def shares(change: float, gains: Array, none: float = -math.inf) -> Array:
     -------
     ndarray, shape (1 + n_candidates,)
     """
+    # probability of a change: logistic function of the log-likelihood ratio
     something = 1.0 / (1.0 + math.exp(-min(max(change, -700.0), 700.0)))
+    # candidates by Bayes' rule with equal priors; "none of these" is one of them
     top = max(float(gains.max()), none)
     weight = np.exp(gains - top)
     return np.concatenate([[1.0 - something], something * weight / (weight.sum() + math.exp(none - top))])
@@ -171,9 +175,11 @@ def change_of(stream: Stream) -> tuple[int, Array]:
     The change that makes the likelihood of one candidate largest, among the starts of the
     blocks that are kept.
     """
+    # cumulative sums from the end: score and information since each block
     starts, sums = stream.block_sums()
     N, V = np.cumsum(sums[0][::-1], axis=0)[::-1], np.cumsum(sums[1][::-1], axis=0)[::-1]
     factor = stream.memory["factor"].min(axis=0)
+    # generalized likelihood ratio of a change at the start of each block
     gain = 0.5 * N**2 / np.where(V > 1e-200, V * factor, np.inf)
     block = int(np.argmax(gain.max(axis=1)))
     since = int(starts[block])
@@ -187,9 +193,11 @@ def linear_estimates(stream: Stream, since: int) -> tuple[Array, Array, Array]:
 
     They are coefficient, standard deviation and gain.
     """
+    # blocks that reach past `since`
     starts, sums = stream.block_sums()
     recent = starts + stream.windows.block > since
     N, V = sums[0][recent].sum(axis=0), sums[1][recent].sum(axis=0)
+    # one-step estimate N / V, deviation 1 / sqrt(V), gain N^2 / (2 V)
     safe = np.where(V > 1e-200, V, np.inf)
     scale = stream.bank.scale[: stream.bank.watched]
     return N / safe * scale, scale / np.sqrt(safe), 0.5 * N**2 / safe
@@ -198,6 +206,7 @@ def linear_estimates(stream: Stream, since: int) -> tuple[Array, Array, Array]:
 def linear_rows(stream: Stream) -> list[MonitorRow]:
     """Ranking from the windows alone, linearized: while no alarm is on."""
     _, gains = standing(stream)
+    # probabilities from the best gain above the threshold
     p = shares(float(gains.max()), gains)[1:]
     mem, keep = stream.memory, stream.windows.keep[:, None]
     V = np.where(mem["V"] > 1e-200, mem["V"], np.inf)
@@ -205,6 +214,7 @@ def linear_rows(stream: Stream) -> list[MonitorRow]:
     wide = stream.variances()
     square = mem["N"] ** 2 / wide
     rows = []
+    # each candidate: the window and column with the largest statistic
     for i, effect in enumerate(stream.bank.candidates):
         own = np.flatnonzero(stream.bank.owner == i)
         m, c = np.unravel_index(int(np.argmax((square - levels)[:, own])), (keep.size, own.size))
@@ -228,6 +238,7 @@ def linear_rows(stream: Stream) -> list[MonitorRow]:
 
 def idle_remarks(stream: Stream) -> tuple[str, ...]:
     """Candidates that are not watched for, in words."""
+    # candidates whose columns have no force on this motion
     owner, effects = stream.bank.owner, stream.bank.candidates
     idle = [e.label for i, e in enumerate(effects) if not stream.bank.scale[owner == i].any()]
     return (f"Not monitored, because the needed motion is missing: {', '.join(idle)}.",) if idle else ()
@@ -235,9 +246,11 @@ def idle_remarks(stream: Stream) -> tuple[str, ...]:
 
 def segment_of(stream: Stream, start: int, free_state: bool, mean: Array) -> Segment:
     """Samples from `start` on as the fit needs them."""
+    # samples, noise and state from the buffers; sensor offsets taken off
     W, Y, use, scale, x0 = stream.recent(start)
     observer, healthy = stream.observer, stream.healthy
     data = Measurement(W.T, (Y - mean).T, dt=observer.dt, hold=observer.hold)
+    # whitening with the present noise level
     mix = healthy.mix / np.sqrt(stream.memory["size"])[:, None]
     return Segment(
         observer.structure, observer.theta, observer.substeps, data, use, x0, observer.gain,
@@ -283,13 +296,16 @@ def fit_all(
     none : float
         Log-likelihood, as the gains, of a change that is none of the candidates; -inf if nothing was fitted.
     """
+    # shortlist by the linearized gains
     effects = stream.bank.candidates
     estimates, _, gains = linear_estimates(stream, since)
     order = np.argsort(-_by_candidate(stream, gains))
     chosen = [int(i) for i in order[:_SHORTLIST]]
+    # besides, candidates fitted before, or else those that change by wear
     always = (lambda effect: effect in before) if before else (lambda effect: effect.spec.may_wear)
     chosen += [int(i) for i in order[_SHORTLIST:] if always(effects[i])]
 
+    # fit them, add related ones, then move the time of the change
     contest = _Contest(stream, mean, latest, window, estimates)
     scored = contest.fits_from(since, chosen, before)
     scored = contest.wider(scored, since, chosen, before)
@@ -297,14 +313,15 @@ def fit_all(
         scored, since = contest.moved(scored, since, latest)
     if not scored:
         return [], since, math.inf, -math.inf
-    weighed, temper, none = _weighed(scored, stream.observer.structure)
+    weighed, temper, none = _weigh(scored, stream.observer.structure)
     return weighed, since, temper, none
 
 
-def _weighed(
+def _weigh(
     scored: list[tuple[CandidateFit, float]], known: Structure
 ) -> tuple[list[tuple[CandidateFit, float]], float, float]:
     """Return fits with fair gains, the misfit, and the gain of no candidate."""
+    # cost of the healthy model, from the gain of the first
     first, gained = scored[0]
     healthy, points = first.cost + 2.0 * gained, max(first.points, 1)
     # a size that the samples do not determine, or that physics excludes, explains nothing
@@ -312,7 +329,9 @@ def _weighed(
     scored = [(fit, gain if fit in sound else min(gain, 0.0)) for fit, gain in scored]
     left = min([healthy, *(fit.cost for fit in sound)]) / points
     # what the best one leaves, where that is more than noise, weighs all of them less
+    # Schwarz's penalty per coefficient; temper: misfit of the best candidate
     temper, price = max(1.0, left), 0.5 * math.log(points)
+    # a change of unknown form: it would leave noise only, with four coefficients
     none = 0.5 * (healthy - levels().alarm_left * points) / temper - _UNKNOWN * price
     fair = [(fit, gain / temper - price * (fit.coefficients.size - 1)) for fit, gain in scored]
     return _best_first(fair), temper, none
@@ -342,6 +361,7 @@ class _Contest:
 
         Return the fits and their gains, best first.
         """
+        # healthy before: known state at the change; later: the last window, state unknown
         stream = self.stream
         if self.latest is None:
             first, free = max(start, stream.n_samples - self.window, stream.oldest), True
@@ -351,15 +371,18 @@ class _Contest:
         found: list[tuple[CandidateFit, float]] = []
         if not segment.judged.any():  # a change of a moment ago: the filters have no past yet
             return found
+        # reference: the healthy model on the same samples
         motion = Motion(segment.structure, segment.theta, segment.data)
         nothing = fit_candidate(segment, None, motion)
         worst = math.inf
+        # start from earlier fits, or from the linearized estimate
         for i in which:
             effect = stream.bank.effects[i]
             starts = [known[effect]] if effect in known else []
             own = int(np.flatnonzero(stream.bank.owner == i)[0])
             if not starts and len(effect.free) == 1:
                 starts = [np.array([self.estimates[own]])]
+            # stop a fit early that lies far behind the best so far
             fit = fit_candidate(segment, effect, motion, starts, alone=effect in known, worst=worst)
             worst = min(worst, fit.cost + _HOPELESS)
             if math.isfinite(fit.cost):
@@ -379,10 +402,12 @@ class _Contest:
         places that lead.
         """
         effects, tried = self.stream.bank.candidates, set(chosen)
+        # the best leaves more than noise: try all elements that wear
         if scored and not scored[0][0].reaches_noise:
             worn = [i for i, effect in enumerate(effects) if effect.spec.may_wear and i not in tried]
             scored = _best_first([*scored, *self.fits_from(start, worn, known)])
             tried.update(worn)
+        # all effects at the three leading places
         leading = {fit.effect.place for fit, _ in scored[:_PLACES] if fit.effect is not None}
         others = [i for i, effect in enumerate(effects) if effect.place in leading and i not in tried]
         return _best_first([*scored, *self.fits_from(start, others, known)]) if others else scored
@@ -395,30 +420,34 @@ class _Contest:
         Each leader is given its own best sample, in steps that are halved down to one: a few samples off, a
         wrong candidate can fit better than the right one.
         """
+        # coordinate search in time for each leader; step: two blocks, halved
         best = {fit.effect: (fit, gain) for fit, gain in scored}
         own = dict.fromkeys(_leaders(scored), since)
         step = max(2 * self.stream.windows.block, 2)
         while step:
+            # up to four steps in each direction as long as the fit improves
             for way in (-step, step):
                 going = list(own)
                 for _ in range(_MOVES):
-                    going = self._stepped({e: own[e] + way for e in going}, latest, best)
+                    going = self._step_starts({e: own[e] + way for e in going}, latest, best)
                     own |= {effect: own[effect] + way for effect in going}
             step //= 2
         ranked = _best_first(best.values())
         first = ranked[0][0].effect
         return ranked, since if first is None else own.get(first, since)
 
-    def _stepped(
+    def _step_starts(
         self,
         starts: Mapping[Effect, int],
         latest: int,
         best: dict[Effect | None, tuple[CandidateFit, float]],
     ) -> list[Effect]:
         """Fit candidates from samples; enter and return what is better."""
+        # start from the coefficients at the sample before
         index = {effect: i for i, effect in enumerate(self.stream.bank.candidates)}
         known = {effect: best[effect][0].coefficients for effect in starts}
         better: list[Effect] = []
+        # one fit per start for all candidates there
         for start in dict.fromkeys(s for s in starts.values() if self.stream.oldest < s <= latest):
             which = [index[effect] for effect, own in starts.items() if own == start]
             for fit, gain in self.fits_from(start, which, known):
@@ -430,6 +459,7 @@ class _Contest:
 
 def _leaders(scored: Sequence[tuple[CandidateFit, float]]) -> list[Effect]:
     """Return the best candidates, and the best ones of the best places."""
+    # first effect of each place, in order of gain
     effects = [fit.effect for fit, _ in scored if fit.effect is not None]
     places = {effect.place: effect for effect in effects[::-1]}
     likely = [effect for effect in effects if effect is places[effect.place]]
@@ -441,6 +471,7 @@ def find_state(stream: Stream) -> None:
 
     A lightly damped model does not forget a wrong state.
     """
+    # fit the state by least squares on the samples since the gap
     start = max(int(stream.memory["lost"][0]), stream.oldest)
     segment = segment_of(stream, start, True, stream.memory["mean_e"])
     motion = Motion(segment.structure, segment.theta, segment.data)
@@ -455,10 +486,12 @@ def fit_one(
 
     The state at `start` is unknown.
     """
+    # named effect and healthy model on the same samples, state free
     segment = segment_of(stream, max(start, stream.oldest), True, mean)
     motion = Motion(segment.structure, segment.theta, segment.data)
     effect = stream.bank.effects[index]
     nothing = fit_candidate(segment, None, motion)
+    # starts: the coefficients so far, and the same shapes without a force
     starts = [before, np.where([name in effect.spec.shaping for name in effect.free], before, 0.0)]
     return fit_candidate(segment, effect, motion, starts, alone=True), nothing
 
@@ -526,12 +559,15 @@ class Watch:
 
     def ring(self, stream: Stream) -> None:
         """Take note that a threshold was crossed at the last sample taken."""
+        # time of the change by likelihood, column with the largest gain
         sample = stream.n_samples - 1
         since, columns = change_of(stream)
         levels = stream.windows.levels
+        # statistic and threshold of the window that crossed
         score = np.abs(stream.memory["N"]) / np.sqrt(stream.variances())
         window = int(np.argmax((score / levels[:, None]).max(axis=1)))
         owner = int(stream.bank.owner[int(np.argmax(columns))])
+        # an alarm without a name; it counts once the ranking is sure
         self.found = Alarm(
             sample=sample,
             time=sample * self.dt,
@@ -549,6 +585,7 @@ class Watch:
             sentence="",
         )
         self.crossed, self.confirmed, self.misfit, self.place = sample, False, float("inf"), ""
+        # sensor offsets as they were before the change
         self.mean = stream.memory["mean_e"].copy()
         self.next_naming = self._look(sample + 1, sample + 1 if self.patience == 0 else 0)
         self.next_follow = sample + 1 + 4 * self.period
@@ -570,10 +607,12 @@ class Watch:
         """Do what is due."""
         sample = stream.n_samples
         assert self.found is not None
+        # fit and rank; in the first periods the time of the change is estimated, too
         if sample >= self.next_naming:
             settle = sample - self.crossed <= _SETTLE * self.period
             self.name(stream, settle=settle)
             self.next_naming = self._look(sample + 1)
+            # confirm the alarm if the ranking is sure, or after `patience` periods
             if not self.confirmed:
                 waited = sample - 1 - self.crossed
                 if self._sure() or waited >= self.patience * self.period:
@@ -583,6 +622,7 @@ class Watch:
                 else:
                     last = self.crossed + 1 + round(self.patience * self.period)
                     self.next_naming = min(self.next_naming, last)
+        # every four periods: follow the coefficient, and see whether the effect is gone
         if sample >= self.next_follow:
             self.next_follow = sample + 4 * self.period
             self.follow(stream)
@@ -592,11 +632,13 @@ class Watch:
 
         It must have nearly all of the probability, twice in a row.
         """
+        # probability of each place: sum over its effects
         places: dict[str, float] = {}
         for row in self.rows:
             places[row.effect.place] = places.get(row.effect.place, 0.0) + row.probability
         place = max(places, key=lambda name: places[name])
         before, self.place = self.place, place
+        # clear: nearly all of the probability at one place, and its fit leaves no more than noise
         level = levels()
         clear = places[place] > level.alarm_place * sum(places.values()) and self.misfit < level.alarm_left
         return clear and place == before
@@ -604,9 +646,11 @@ class Watch:
     def name(self, stream: Stream, *, settle: bool) -> None:
         """Fit the candidates to the samples since the change, and rank them."""
         assert self.found is not None
+        # while more samples settle the time of the change, estimate it again
         since = self.found.since_sample
         if settle:
             since = min(change_of(stream)[0], self.crossed)
+        # fits of the last time serve as starts
         before = {
             row.effect: np.array(list(row.coefficients.values()))
             for row in self.rows
@@ -621,6 +665,7 @@ class Watch:
             return  # the change itself is changing, or going: the name that fitted well stays
         self.misfit = misfit
         self.found = replace(self.found, since_sample=since, since=since * self.dt)
+        # fitted gains where there are, linearized ones otherwise
         estimates, spreads, gains = linear_estimates(stream, since)
         effects, owner = stream.bank.candidates, stream.bank.owner
         fitted = {fit.effect: (fit, gain) for fit, gain in scored}
@@ -641,6 +686,7 @@ class Watch:
             coefficients = dict(zip(names, map(float, values), strict=True))
             std = dict(zip(names, map(float, stds), strict=True))
             rows.append(MonitorRow(effect, coefficients, std, 0.0, float(gain), effect in fitted))
+        # posterior probabilities, then the ranking
         p = shares(self.change(stream), all_gains, self.none)[1:]
         rows = [replace(row, probability=float(share)) for row, share in zip(rows, p, strict=True)]
         self.rows = sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
@@ -653,6 +699,7 @@ class Watch:
         It is never less than its value at the alarm.
         """
         assert self.found is not None
+        # log-likelihood ratio over the threshold, at the alarm and now
         at_alarm = 0.5 * (self.found.statistic**2 - self.found.threshold**2)
         return max(at_alarm, float(standing(stream)[1].max()))
 
@@ -662,6 +709,7 @@ class Watch:
         If several rows explain the change equally well at that place, the simplest is taken.
         """
         assert self.found is not None
+        # effects at the best place that the data cannot distinguish from the best
         best, near = self.rows[0], 0.5 * levels().rival
         alike = [
             row
@@ -670,7 +718,8 @@ class Watch:
             and row.effect.place == best.effect.place
             and row.log_likelihood > best.log_likelihood - near
         ]
-        row = min(alike, key=lambda one: len(one.coefficients))
+        # of these the one with the fewest coefficients
+        row = min(alike, key=lambda row: len(row.coefficients))
         first = next(iter(row.coefficients))
         self.value, self.std = row.coefficients[first], row.std[first]
         found = replace(
@@ -681,7 +730,8 @@ class Watch:
             probability=row.probability,
         )
         others = tuple(other.effect.kind for other in alike if other is not row)
-        none = 0.0 if self.none == -math.inf else 1.0 - sum(one.probability for one in self.rows)
+        # probability of none of the candidates
+        none = 0.0 if self.none == -math.inf else 1.0 - sum(row.probability for row in self.rows)
         self.found = replace(found, sentence=_sentence(found, model, others, none))
 
     def follow(self, stream: Stream) -> None:
@@ -690,6 +740,7 @@ class Watch:
         End the alarm if the effect is gone.
         """
         assert self.found is not None
+        # fit the named effect to the last eight periods
         index = stream.bank.effects.index(self.found.effect)
         sample, reach = stream.n_samples, _FOLLOW * self.period
         start = sample - reach
@@ -700,6 +751,7 @@ class Watch:
         if not fit.coefficients.size or not np.isfinite(fit.std[0]):
             return
         self.value, self.std = float(fit.coefficients[0]), float(fit.std[0])
+        # gone: coefficient near zero, healthy model as good, and the effect would be seen
         expected = abs(float(before[0]))
         level = levels()
         small = abs(self.value) < max(level.alarm_gone * self.std, 0.1 * expected)
@@ -713,12 +765,14 @@ class Watch:
         `state` is the healthy state at sample `start`.
         """
         assert self.found is not None
+        # keep the alarm among the past ones
         gone = replace(self.found, ended=stream.n_samples * self.dt)
         if self.confirmed:
             self.past = [
                 *self.past,
                 replace(gone, sentence=_sentence(gone, stream.observer.structure.model)),
             ][-_MOST_PAST:]
+        # back to the healthy state, windows empty
         self.found, self.confirmed, self.rows, self.gains = None, False, [], None
         self.none = -math.inf
         self.value = self.std = float("nan")
@@ -726,6 +780,7 @@ class Watch:
 
 
 def _sentence(alarm: Alarm, model: PhysicalModel, others: tuple[str, ...] = (), none: float = 0.0) -> str:
+    # coefficients with units and deviations
     figures = ", ".join(
         f"{name} {with_error(value, alarm.std[name], model.unit(alarm.effect, name))}"
         for name, value in alarm.coefficients.items()
@@ -764,6 +819,7 @@ def watch_block(stream: Stream, watch: Watch, course: Course, block: Block, posi
     """
     total = len(block.inputs)
     while position < total:
+        # up to the next event: row of the history, naming, or the state after a gap
         here = stream.n_samples
         until = min(here + total - position, here + _CHUNK, course.due(here))
         healthy = not watch.busy
@@ -771,9 +827,11 @@ def watch_block(stream: Stream, watch: Watch, course: Course, block: Block, posi
             until = min(until, watch.next_event(here))
         if stream.find_at > here:
             until = min(until, stream.find_at)
+        # advance; while healthy it stops where a statistic crosses its threshold
         part = block.part(position, position + until - here)
         done, ratio = stream.advance(part.inputs, part.outputs, part.use, part.known, stop=healthy)
         position += done
+        # alarm, naming, or state found anew
         if healthy and ratio[-1] > 1.0:
             watch.ring(stream)
         elif not healthy and stream.n_samples >= watch.next_event(here):
@@ -789,6 +847,7 @@ def _row(stream: Stream, watch: Watch) -> Array:
 
     The statistic is divided by its threshold. The standard deviation of the coefficient comes last.
     """
+    # no alarm: probabilities from the windows; alarm: from the fits
     ratio, gains = standing(stream)
     if watch.gains is None:
         p, value, std = shares(float(gains.max()), gains), math.nan, math.nan
@@ -827,6 +886,7 @@ class Course:
         """Keep a row, if it is due."""
         if sample % self.stride:
             return
+        # full: keep every other row
         if self.count == ROWS:
             self.stride *= 2
             kept = self.samples % self.stride == 0

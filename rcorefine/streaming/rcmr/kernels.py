@@ -126,6 +126,7 @@ def _gradient_arrays(rows: Array, offsets: Array, theta: Array) -> Array:
 
     It is Phi'(f + Phi theta).
     """
+    # f + Phi theta is the retrospective performance over the window, (p n_y,)
     return (rows @ theta + offsets) @ rows
 
 
@@ -138,8 +139,10 @@ def _gradient_loops(rows: Array, offsets: Array, theta: Array) -> Array:
     count, m = rows.shape
     gradient = np.zeros(m)
     whole = count - count % 4
+    # four rows per pass: theta and gradient are read once for four rows
     for i in range(0, whole, 4):
         row1, row2, row3, row4 = rows[i], rows[i + 1], rows[i + 2], rows[i + 3]
+        # f + Phi theta for these rows
         f1, f2, f3, f4 = 0.0, 0.0, 0.0, 0.0
         for j in range(m):
             entry = theta[j]
@@ -151,6 +154,7 @@ def _gradient_loops(rows: Array, offsets: Array, theta: Array) -> Array:
         f2 += offsets[i + 1]
         f3 += offsets[i + 2]
         f4 += offsets[i + 3]
+        # Phi' (f + Phi theta)
         for j in range(m):
             gradient[j] += f1 * row1[j] + f2 * row2[j] + f3 * row3[j] + f4 * row4[j]
     for i in range(whole, count):
@@ -174,18 +178,23 @@ def _slide_arrays(gain: Array, pending: Array, new: Array, old: Array, gradient:
     near zero means that the leaving row held nearly all that was known of
     some direction.
     """
+    # apply the change of the sample before
     # gain is symmetric, so its transpose is the Fortran array that dger updates in place
     dger(-1.0, pending[0], pending[0], a=gain.T, overwrite_a=1)
     dger(1.0, pending[1], pending[1], a=gain.T, overwrite_a=1)
+    # products with the gain for the rows that enter and leave
     a, b = gain @ new, gain @ old
     step[:] = gain @ gradient
     # Sherman and Morrison's formula twice
+    # update: Phi'Phi + new new'
     grow = 1.0 / (1.0 + a @ new)
     step -= (grow * (a @ gradient)) * a
+    # downdate: Phi'Phi - old old'
     b -= (grow * (a @ old)) * a
     pivot = 1.0 - b @ old
     shrink = 1.0 / pivot if pivot > 0.0 else 0.0
     step += (shrink * (b @ gradient)) * b
+    # leave the change in square-root form: gain - grow a a' + shrink b b'
     pending[0] = np.sqrt(grow) * a
     pending[1] = np.sqrt(shrink) * b
     return float(pivot)
@@ -205,6 +214,7 @@ def _slide_loops(gain: Array, pending: Array, new: Array, old: Array, gradient: 
         row1, row2 = gain[i], gain[i + 1]
         less1, more1, less2, more2 = less[i], more[i], less[i + 1], more[i + 1]
         new1, old1, gradient1, new2, old2, gradient2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        # the pending change and the three products in one pass over the gain
         for j in range(m):
             entry1 = row1[j] - less1 * less[j] + more1 * more[j]
             entry2 = row2[j] - less2 * less[j] + more2 * more[j]
@@ -225,6 +235,7 @@ def _slide_loops(gain: Array, pending: Array, new: Array, old: Array, gradient: 
         with_new += a[j] * new[j]
         with_old += a[j] * old[j]
         with_gradient += a[j] * gradient[j]
+    # update by the row that enters
     grow = 1.0 / (1.0 + with_new)
     root, shared, along = np.sqrt(grow), grow * with_old, grow * with_gradient
     with_old, with_gradient = 0.0, 0.0
@@ -233,6 +244,7 @@ def _slide_loops(gain: Array, pending: Array, new: Array, old: Array, gradient: 
         b[j] -= shared * a[j]
         with_old += b[j] * old[j]
         with_gradient += b[j] * gradient[j]
+    # downdate by the row that leaves; a pivot near zero means loss of accuracy
     pivot = 1.0 - with_old
     shrink = 1.0 / pivot if pivot > 0.0 else 0.0
     root, back = np.sqrt(shrink), shrink * with_gradient
@@ -276,6 +288,7 @@ def remember(stage: Stage, order: int, x: Array, w: Array) -> Array:
     recent = stage.counters[RECENT]
     first_w = (order + 1) * n
     first_u = first_w + (order + 1) * n_w
+    # shift the past of x, w and u by one sample
     if order > 0:
         put(psi, n, psi[: first_w - n].copy())
         put(psi, first_w + n_w, psi[first_w : first_u - n_w].copy())
@@ -283,7 +296,9 @@ def remember(stage: Stage, order: int, x: Array, w: Array) -> Array:
         put(psi, first_u, stage.past_u[recent])
     put(psi, 0, x)
     put(psi, first_w, w)
+    # u(k) = theta psi(k)
     u = product(stage.theta[: l_u * psi.size].reshape(l_u, psi.size), psi)
+    # circular buffers of psi and u for the Markov parameters
     recent = (recent + 1) % stage.past_u.shape[0]
     stage.counters[RECENT] = recent
     put(stage.past_psi[recent], 0, psi)
@@ -297,6 +312,7 @@ def reach(design: Design, past_u: Array, recent: int) -> Array:
 
     It is the sum of H_i u(k-i) over the Markov parameters.
     """
+    # sum of H_i u(k - i), i = d ... d + mu - 1
     total = np.zeros(design.H.shape[1])
     for i in range(design.H.shape[0]):
         total += product(design.H[i], past_u[(recent - design.delay - i) % past_u.shape[0]])
@@ -308,6 +324,7 @@ def filtered(design: Design, past_psi: Array, recent: int, width: int) -> Array:
     """Rows sum of H_i (x) psi(k-i), one per output, padded to `width`."""
     mu, n_y, l_u = design.H.shape
     q = past_psi.shape[1]
+    # Phi(k): the regressor filtered by the Markov parameters, (n_y, m)
     rows = np.zeros((n_y, width))
     for i in range(mu):
         psi = past_psi[(recent - design.delay - i) % past_psi.shape[0]]
@@ -331,6 +348,7 @@ def bounded(simulated: Array, u: Array, x: Array, limit: float) -> bool:
 def _follow(level: Array, rate: float, signal: Array) -> None:
     """Mean square of each entry, of limited memory."""
     for i in range(level.shape[0]):
+        # exponential average
         level[i] += rate * (signal[i] * signal[i] - level[i])
 
 
@@ -371,14 +389,18 @@ def advance(
     keep = record.z1.shape[0] > 0
     rate = y.shape[1] / stage1.rows.shape[0]
     for k in range(w.shape[0]):
+        # the threshold of divergence follows the largest output
         peak[0] = max(peak[0], np.abs(y[k]).max())
         limit = DIVERGED * peak[0]
+        # stage 1: simulate with the dynamic correction
         x = stage1.x.copy()
         u = remember(stage1, design1.order, x, w[k])
         simulated = affine(plant.C, x, plant.D, w[k], plant.Du, u)
         if not bounded(simulated, u, x, limit):
             return k, 1
+        # performance z1 = simulated - measured output
         z1 = simulated - y[k]
+        # subtract the effect of the past corrections: theta takes their place in the cost
         recent = stage1.counters[RECENT]
         offsets = z1 - reach(design1, stage1.past_u, recent)
         # y^ predicted from the states of stage 1 is y_Delta with u2 in the place of u1
@@ -388,14 +410,17 @@ def advance(
             learn(stage1, design1, filtered(design1, stage1.past_psi, recent, stage1.theta.size), offsets)
             if not np.isfinite(stage1.theta.sum()):
                 return k, 1
+        # advance the state of stage 1
         put(stage1.x, 0, affine(plant.A, x, plant.B, w[k], plant.Bu, u))
 
+        # stage 2: static correction, on the states that stage 1 estimates
         x2 = x if estimated else stage2.x.copy()
         u = remember(stage2, design2.order, x2, w[k])
         recent = stage2.counters[RECENT]
         if estimated:
             offsets = z2
             z2 = offsets + reach(design2, stage2.past_u, recent)
+        # without estimated states stage 2 simulates its own
         else:
             z2 = affine(plant.C, x2, plant.D, w[k], plant.Du, u) - y[k]
             offsets = z2 - reach(design2, stage2.past_u, recent)
@@ -405,7 +430,9 @@ def advance(
         learn(stage2, design2, filtered(design2, stage2.past_psi, recent, stage2.theta.size), offsets)
         if not np.isfinite(stage2.theta.sum()):
             return k, 2
+        # the latest static coefficients, to be averaged
         put(recent_theta[(stage2.counters[LEARNED] - 1) % recent_theta.shape[0]], 0, stage2.theta)
+        # mean squares for the printed performance
         _follow(levels[0], rate, y[k])
         _follow(levels[1], rate, z1)
         _follow(levels[2], rate, z2)
@@ -433,14 +460,17 @@ def refresh(stage: Stage, alpha: float) -> None:
     One row after the other enters an empty window.
     """
     count, m = stage.rows.shape
+    # energy of the window: trace of Phi'Phi
     energy = 0.0
     for i in range(count):
         energy += stage.rows[i] @ stage.rows[i]
     stage.energy[0] = energy
+    # ill-conditioned: no recursion, solve directly at each sample
     stage.counters[AGE] = 0
     stage.counters[STALE] = 1 if energy > DIRECT_LIMIT * alpha else 0
     if stage.counters[STALE] == 1:
         return
+    # start from (alpha I)^-1 and let the rows enter one by one
     stage.gain[:, :] = 0.0
     for i in range(m):
         stage.gain[i, i] = 1.0 / alpha
@@ -463,6 +493,7 @@ def direct_step(rows: Array, residual: Array, alpha: float) -> Array:
     The step s minimizes |residual + rows s|^2 + alpha |s|^2.
     """
     count, m = rows.shape
+    # least squares with [Phi; sqrt(alpha) I], (p n_y + m, m)
     right = np.zeros(count + m)  # -residual; 0
     columns = np.zeros((m, count + m))  # of [rows; sqrt(alpha) I]
     for i in range(count):
@@ -471,6 +502,7 @@ def direct_step(rows: Array, residual: Array, alpha: float) -> Array:
     step = np.zeros(m)
     for j in range(m):
         columns[j, count + j] = np.sqrt(alpha)
+    # QR by Householder's reflections
     for j in range(m):
         v = columns[j].copy()
         v[:j] = 0.0
@@ -479,6 +511,7 @@ def direct_step(rows: Array, residual: Array, alpha: float) -> Array:
         for i in range(j, m):
             _reflect(columns[i], v)
         _reflect(right, v)
+    # back substitution
     for j in range(m - 1, -1, -1):
         step[j] = right[j] / columns[j, j]
         right -= step[j] * columns[j]
@@ -496,6 +529,7 @@ def learn(stage: Stage, design: Design, new: Array, offsets: Array) -> None:
     n_y, m = new.shape
     window = stage.rows.shape[0] // n_y
     counters = stage.counters
+    # slide the window: the new rows take the place of the oldest
     slot = counters[SLOT] * n_y
     old = stage.rows[slot : slot + n_y].copy()
     put_rows(stage.rows[slot : slot + n_y], new)
@@ -503,14 +537,17 @@ def learn(stage: Stage, design: Design, new: Array, offsets: Array) -> None:
     counters[SLOT] = (counters[SLOT] + 1) % window
     counters[AGE] += 1
     counters[LEARNED] += 1
+    # Gauss-Newton step on the quadratic cost: exact if the gain is
     theta = stage.theta
     gradient = half_gradient(stage.rows, stage.offsets, theta)
     step = np.empty(m)
     pivot = 1.0
+    # one rank-2 update of the gain per output
     for r in range(n_y):
         stage.energy[0] += new[r] @ new[r] - old[r] @ old[r]
         if counters[STALE] == 0:
             pivot = min(pivot, slide(stage.gain, stage.pending, new[r], old[r], gradient, step))
+    # rebuild the gain after ten windows, or where the downdate lost its digits
     due = counters[AGE] >= REFRESH_WINDOWS * window or pivot < DOWNDATE_LIMIT
     if due or counters[STALE] == 1 or stage.energy[0] > DIRECT_LIMIT * design.alpha:
         refresh(stage, design.alpha)

@@ -54,6 +54,7 @@ def take(
         If a correction diverges.
     """
     n_samples = memory.n_samples + inputs.shape[0]
+    # hold samples back until their rms gives the scales
     if memory.tuned is None:
         inputs = np.concatenate([memory.inputs, inputs])
         outputs = np.concatenate([memory.outputs, outputs])
@@ -61,14 +62,16 @@ def take(
         if scales is None:
             waiting = replace(memory, inputs=inputs, outputs=outputs, n_samples=n_samples)
             return waiting, None, outputs[:0]
+        # scales known: design both stages; the waiting samples are learned now
         memory = replace(
             memory,
             inputs=inputs[:0].copy(),
             outputs=outputs[:0].copy(),
             tuned=setup.tuned(scales),
         )
+    # work on a copy: an error leaves the memory as it was
     memory = memory.copied(n_samples)
-    record = _advanced(setup, memory, inputs, outputs, n_samples - inputs.shape[0], keep)
+    record = _run_stages(setup, memory, inputs, outputs, n_samples - inputs.shape[0], keep)
     return memory, record, outputs
 
 
@@ -76,6 +79,7 @@ def take_until(
     setup: Setup, memory: Memory, inputs: Array, outputs: Array, error: Diverged, *, keep: bool = False
 ) -> tuple[Memory, Record | None, Array]:
     """Take the samples that were sound before these diverged."""
+    # the block again, up to the sample before the divergence
     inputs = np.concatenate([memory.inputs, inputs])[: error.done]
     outputs = np.concatenate([memory.outputs, outputs])[: error.done]
     memory = replace(
@@ -88,7 +92,7 @@ def take_until(
     return take(setup, memory, inputs, outputs, keep=keep)
 
 
-def _advanced(
+def _run_stages(
     setup: Setup, memory: Memory, inputs: Array, outputs: Array, first: int, keep: bool
 ) -> Record | None:
     """Run both stages over the block in place.
@@ -98,6 +102,7 @@ def _advanced(
     assert memory.tuned is not None
     scales, plant, designs = memory.tuned.scales, memory.tuned.plant, memory.tuned.designs
     stages = memory.stages
+    # record only where a history is kept
     kept = inputs.shape[0] if keep else 0
     record = Record(
         z1=np.empty((kept, outputs.shape[1])),
@@ -106,6 +111,7 @@ def _advanced(
         theta2=np.empty((kept, stages[1].theta.size)),
         x=np.empty((kept, plant.A.shape[0])),
     )
+    # both stages on scaled signals, in compiled code
     with np.errstate(all="ignore"):  # a divergence is reported below, in words
         done, stage = advance(
             plant,
@@ -119,10 +125,12 @@ def _advanced(
             setup.estimated,
             record,
         )
+    # a stage diverged: say where and why
     if stage:
-        raise Diverged(_explained(setup, memory, first + done, stage), done, memory.tuned)
+        raise Diverged(_divergence_message(setup, memory, first + done, stage), done, memory.tuned)
     if not keep:
         return None
+    # back to the units of the signals
     return Record(
         record.z1 * scales.outputs,
         record.z2 * scales.outputs,
@@ -132,9 +140,10 @@ def _advanced(
     )
 
 
-def _explained(setup: Setup, memory: Memory, sample: int, stage: int) -> str:
+def _divergence_message(setup: Setup, memory: Memory, sample: int, stage: int) -> str:
     assert memory.tuned is not None
     settings = setup.settings[stage - 1]
+    # sample number and time
     time = "" if setup.step is None else f" (t = {sample * setup.step:.6g} s)"
     return explain(
         memory.tuned.plant,
@@ -189,6 +198,7 @@ class PaperStages:
 
         With `keep_sound`, keep what came before a divergence.
         """
+        # gaps: stretch by stretch, with the simulated output in the place of the missing one
         if not block.whole:
             self.memory, records = take_over_gaps(self.setup, self.memory, block, keep=self.keep)
             self.records += records
@@ -204,6 +214,7 @@ class PaperStages:
     def _take(self, inputs: Array, outputs: Array, keep_sound: bool, last: bool) -> None:
         try:
             self._commit(take(self.setup, self.memory, inputs, outputs, keep=self.keep, last=last))
+        # a record keeps what came before a divergence, a stream takes all of a block or nothing
         except Diverged as error:
             if keep_sound:
                 self._commit(take_until(self.setup, self.memory, inputs, outputs, error, keep=self.keep))
@@ -236,6 +247,7 @@ class PaperStages:
         memory = self.memory
         if memory.tuned is None:
             return np.zeros(self.setup.theta_shapes[stage])
+        # dynamic coefficients of this sample; static ones averaged
         theta = memory.stages[0].theta if stage == 0 else memory.static_theta()
         return in_units(theta, memory.tuned.scales, self.setup.settings[stage].order)
 
@@ -251,17 +263,17 @@ class PaperStages:
     @property
     def scores(self) -> dict[str, float]:
         """No forms compete."""
-        raise _no("scores")
+        raise _unavailable("scores")
 
     @property
     def parameters(self) -> tuple[Any, ...]:
         """The paper's coefficients are no parameters."""
-        raise _no("parameters")
+        raise _unavailable("parameters")
 
     @property
     def covariance(self) -> Array:
         """The paper's coefficients have none."""
-        raise _no("covariance")
+        raise _unavailable("covariance")
 
     def dynamic_theta(self) -> Array:
         """Coefficients of stage 1."""
@@ -277,6 +289,7 @@ class PaperStages:
         They are the scatter over the samples that the coefficients are averaged over.
         """
         memory = self.memory
+        # scatter needs two samples
         learned = min(int(memory.stages[1].counters[4]), memory.recent_theta.shape[0])
         if memory.tuned is None or learned < 2:
             return np.full(self.setup.theta_shapes[1], np.inf)
@@ -289,6 +302,7 @@ class PaperStages:
 
     def discrete_system(self, name: str) -> LinearModel:
         """Refined model in discrete time."""
+        # A + B_u theta_x, B + B_u theta_w, C + D_u theta_x, D + D_u theta_w
         s = self.setup
         return refined(s.discrete, s.plant, self.theta(1), s.settings[1].order, name)
 
@@ -297,6 +311,7 @@ class PaperStages:
         initial = self.setup.initial
         if not initial.is_continuous:
             return self.discrete_system(name)
+        # theta = 0: the initial model, without a conversion
         if not self.theta(1).any():
             return initial.with_arrays(name=name)
         return nearest_continuous(self.discrete_system(name))
@@ -305,6 +320,7 @@ class PaperStages:
         """Free run on further inputs of shape (N, n_w); outputs of shape (n_y, N)."""
         model, x = self.discrete_system(""), self._present_state()
         outputs = np.empty((model.n_outputs, len(inputs)))
+        # free run of the refined model
         with np.errstate(over="ignore", invalid="ignore"):
             for k, w in enumerate(inputs):
                 outputs[:, k] = model.C @ x + model.D @ w
@@ -314,10 +330,12 @@ class PaperStages:
     def history(self) -> History:
         """Course of both stages."""
         s = self.setup
+        # join the blocks, samples last
         z1, z2, theta1, theta2, x = (
             joined([record[i] for record, _ in self.records], shape) for i, shape in enumerate(self._shapes)
         )
         timepts = np.arange(z1.shape[1], dtype=np.float64) * (1.0 if s.step is None else s.step)
+        # poles of the refined model, where the correction is static
         at = pole_samples(timepts.size if s.settings[1].order == 0 else 0)
         systems = [refined(s.discrete, s.plant, theta2[:, :, k], 0, "") for k in at]
         return History(
@@ -344,14 +362,16 @@ class PaperStages:
     def summary(self) -> Summary:
         """Cells and sentences of `str`."""
         s, model = self.setup, self.setup.initial
+        # settings of both stages, then their performance
         rows = [
-            ["order n_c", *(f"{one.order}" for one in s.settings)],
-            ["window p [samples]", *(f"{one.window}" for one in s.settings)],
-            [f"Markov parameters mu, from H_{s.delay}", *(f"{one.markov}" for one in s.settings)],
-            ["learning rate alpha [scaled units]", *(f"{one.learning_rate:g}" for one in s.settings)],
+            ["order n_c", *(f"{stage.order}" for stage in s.settings)],
+            ["window p [samples]", *(f"{stage.window}" for stage in s.settings)],
+            [f"Markov parameters mu, from H_{s.delay}", *(f"{stage.markov}" for stage in s.settings)],
+            ["learning rate alpha [scaled units]", *(f"{stage.learning_rate:g}" for stage in s.settings)],
             ["coefficients", *(f"{rows * columns}" for rows, columns in s.theta_shapes)],
         ]
         if self.n_learned:
+            # performance over the rms of the measured output
             with np.errstate(divide="ignore", invalid="ignore"):
                 share = np.sqrt(self.memory.levels[1:] / self.memory.levels[0])
             for label, column in zip(model.output_labels[:3], share.T, strict=False):
@@ -382,6 +402,7 @@ class PaperStages:
                     "Stage 2 uses its own states."
                 )
             )
+        # scale of each signal
         scales = memory.tuned.scales
         sizes = [
             f"{label} {size:.3g}"
@@ -405,6 +426,7 @@ class PaperStages:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` gave, once it was held against a fresh memory."""
         s = self.setup
+        # an empty record with the shapes of this model
         rows = Record(*(np.zeros((0, *shape)) for shape in self._shapes))
         check_course(state["records"], rows, s.initial.n_outputs)
         self.memory = s.restored(state["memory"])
@@ -418,6 +440,7 @@ class PaperStages:
         memory, s = self.memory, self.setup
         order = s.settings[1].order
         n, n_w, l_u = s.initial.n_states, s.initial.n_inputs, s.plant.Bu.shape[1]
+        # nothing learned: simulate the initial model over the samples that wait
         if memory.tuned is None:
             if order > 0:
                 raise ModelError(
@@ -429,9 +452,11 @@ class PaperStages:
                 x = s.plant.A @ x + s.plant.B @ w
             return x
         scales, stage = memory.tuned.scales, memory.stages[1]
+        # static correction: the state of the model is all
         x = memory.stages[0 if s.estimated else 1].x * scales.states
         if order == 0:
             return x
+        # correction with memory: past x, w and u from the regressor, in units
         psi = stage.psi * regressor_scale(scales.states, scales.inputs, scales.corrections, order)
         first_w, first_u = (order + 1) * n, (order + 1) * (n + n_w)
         latest = stage.past_u[stage.counters[3]] * scales.corrections
@@ -439,7 +464,7 @@ class PaperStages:
         return np.concatenate([x, psi[: order * n], psi[first_w : first_w + order * n_w], past_u])
 
 
-def _no(what: str) -> RCOError:
+def _unavailable(what: str) -> RCOError:
     return RCOError(
         f"{what} belong to the joint filter; leave out window, markov and static_..., or name "
         "effects=[...] (static_theta has the paper's coefficients)"
@@ -455,17 +480,19 @@ def take_over_gaps(
     and nothing changes.
     """
     records: list[tuple[Record, Array]] = []
+    # stretches between gaps
     complete = np.asarray(block.use.all(axis=1))
     position, total = 0, complete.size
     while position < total:
         ahead = np.flatnonzero(complete[position:] != complete[position])
         stop = position + (int(ahead[0]) if ahead.size else total - position)
+        # samples with a gap go one by one: each needs the simulated output of its own time
         if not complete[position]:
             stop = position + 1
         inputs, outputs = block.inputs[position:stop], block.outputs[position:stop].copy()
         if not complete[position]:
             gap = block.use[position] == 0
-            outputs[0, gap] = _stand_in(setup, memory, inputs, outputs)[gap]
+            outputs[0, gap] = _simulated_output(setup, memory, inputs, outputs)[gap]
         memory, record, learned = take(setup, memory, inputs, outputs, keep=keep)
         if keep and record is not None:
             records.append((record, learned.copy()))
@@ -473,8 +500,9 @@ def take_over_gaps(
     return memory, records
 
 
-def _stand_in(setup: Setup, memory: Memory, inputs: Array, outputs: Array) -> Array:
+def _simulated_output(setup: Setup, memory: Memory, inputs: Array, outputs: Array) -> Array:
     """Output of stage 1 at the next sample, before it has learned from it."""
+    # before the scales are known: hold the last output
     if memory.tuned is None:
         if memory.outputs.shape[0] == 0:
             raise DataError(
@@ -482,6 +510,7 @@ def _stand_in(setup: Setup, memory: Memory, inputs: Array, outputs: Array) -> Ar
                 "start at a sample that is whole"
             )
         return np.asarray(memory.outputs[-1])
+    # simulated output of stage 1: performance plus what was given as the output
     _, record, _ = take(setup, memory, inputs, outputs, keep=True)
     assert record is not None
     return np.asarray(record.z1[0] + outputs[0])
@@ -504,10 +533,12 @@ def refined(model: LinearModel, plant: Plant, theta: Array, order: int, name: st
     name : str
         Name of the refined system.
     """
+    # static feedback u = theta_x x + theta_w w
     n, n_w = plant.B.shape
     if order > 0:
         return with_lags(model, plant, theta, order, name)
     on_x, on_w = theta[:, :n], theta[:, n : n + n_w]
+    # B_u feeds it into the states, D_u into the outputs
     return model.with_arrays(
         A=plant.A + plant.Bu @ on_x,
         B=plant.B + plant.Bu @ on_w,
@@ -530,16 +561,19 @@ def with_lags(model: LinearModel, plant: Plant, theta: Array, order: int, name: 
     gain = np.hstack([on_x, on_w[:, n_w:], on_u])
     feed = on_w[:, :n_w]
     size = gain.shape[1]
+    # augmented state [x; past x; past w; past u]
     a, b = np.zeros((size, size)), np.zeros((size, n_w))
     a[:n, :n], b[:n] = plant.A, plant.B
     a[:n] += plant.Bu @ gain
     b[:n] += plant.Bu @ feed
+    # shift registers for the past
     _shift(a, n, 0, n, order)  # x(k) enters its own past
     past_w, past_u = first_w, first_w + order * n_w
     b[past_w : past_w + n_w] = np.eye(n_w)
     _shift(a, past_w + n_w, past_w, n_w, order - 1)
     a[past_u : past_u + l_u], b[past_u : past_u + l_u] = gain, feed
     _shift(a, past_u + l_u, past_u, l_u, order - 1)
+    # outputs: C x + D_u u
     c = np.hstack([plant.C, np.zeros((plant.C.shape[0], size - n))]) + plant.Du @ gain
     labels = list(model.state_labels)
     for names, count in ((model.state_labels, n), (model.input_labels, n_w), (("correction",), l_u)):

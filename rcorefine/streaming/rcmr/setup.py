@@ -28,6 +28,7 @@ TOLERANCE = 1e-10
 def markov_parameters(plant: Plant, count: int) -> Array:
     """H_0 = D_u and H_i = C A^(i-1) B_u, shape (count, n_y, l_u)."""
     values = np.empty((count, *plant.Du.shape))
+    # H_i = C A^(i-1) B_u
     values[0] = plant.Du
     power = plant.Bu
     for i in range(1, count):
@@ -41,8 +42,10 @@ def _nonzero(plant: Plant) -> tuple[Array, NDArray[np.bool_]]:
 
     An entry counts as nonzero if it exceeds the rounding error.
     """
+    # by Cayley and Hamilton's theorem: if these are zero, all are
     count = plant.A.shape[0] + 2
     values = markov_parameters(plant, count)
+    # bound of each entry without cancellation
     bound = np.abs(plant.Du)
     power = plant.Bu
     for _ in range(1, count):
@@ -62,6 +65,7 @@ def relative_degree(plant: Plant) -> int:
         If the correction reaches no output at all.
     """
     _, nonzero = _nonzero(plant)
+    # (n_y, l_u) entries: one that is not zero is enough
     reached = nonzero.any(axis=(1, 2))
     if not reached.any():
         raise ModelError(
@@ -89,6 +93,7 @@ def column_delays(plant: Plant) -> Array:
             f"correction {int(np.argmax(dead))} (column of B_u, D_u) reaches no output; "
             "leave the column out, or measure where it acts"
         )
+    # column c of the first H_i that is not zero for correction c, (n_y, l_u)
     first = np.argmax(reached, axis=0)
     return np.stack([values[first[c], :, c] for c in range(first.size)], axis=1)
 
@@ -99,6 +104,7 @@ def path_zeros(plant: Plant) -> NDArray[np.complex128]:
     They are invariant zeros if the path is square, otherwise the zeros of every single path.
     """
     n_y, l_u = plant.Du.shape
+    # square path: invariant zeros; otherwise those of each pair of output and correction
     if n_y == l_u:
         pairs = [(slice(None), slice(None))]
     else:
@@ -109,10 +115,12 @@ def path_zeros(plant: Plant) -> NDArray[np.complex128]:
 
 def _invariant_zeros(a: Array, b: Array, c: Array, d: Array) -> NDArray[np.complex128]:
     n = a.shape[0]
+    # Rosenbrock's pencil [A - zI, B; C, D]: its generalized eigenvalues are the zeros
     pencil = np.block([[a, b], [c, d]])
     mass = np.zeros_like(pencil)
     mass[:n, :n] = np.eye(n)
     alpha, beta = linalg.eig(pencil, mass, right=False, homogeneous_eigvals=True)
+    # infinite eigenvalues belong to the relative degree
     finite = np.abs(beta) > 1e-10 * np.maximum(np.abs(alpha), 1e-300)
     zeros = np.asarray(alpha[finite] / beta[finite], dtype=complex)
     return np.asarray(zeros[np.isfinite(zeros)])
@@ -142,6 +150,7 @@ class Scales:
 
 def scaled_plant(plant: Plant, scales: Scales) -> Plant:
     """Same system in scaled signals."""
+    # A, B, C, D of signals divided by their scales: S_x^-1 A S_x and so on
     x, y = scales.states[:, None], scales.outputs[:, None]
     return Plant(
         A=np.ascontiguousarray(plant.A * scales.states / x),
@@ -160,6 +169,7 @@ def is_settled(signals: Array) -> bool:
     """
     if (np.ptp(signals, axis=1) == 0.0).any():
         return False
+    # stationary: rms of the second half at most three times that of the first
     half = signals.shape[1] // 2
     first = np.sqrt(np.mean(signals[:, :half] ** 2, axis=1))
     second = np.sqrt(np.mean(signals[:, half:] ** 2, axis=1))
@@ -193,13 +203,15 @@ def measured_scales(
                 f"output {label!r} is zero from sample 0 to {n_samples - 1}: check the sensor, "
                 "or declare scale={...}"
             )
+    # rms of the measured signals
     inputs = np.sqrt(np.mean(w**2, axis=1))
     outputs = np.sqrt(np.mean(y**2, axis=1))
     corrections = _correction_scales(plant, outputs)
+    # rms of the model states in a simulation from rest
     with np.errstate(over="ignore", invalid="ignore"):
         power = state_power(plant.A, plant.B, np.ascontiguousarray(w[:, :-1].T))
     power = _finite(power, n_samples) * ((n_samples - 1) / n_samples)
-    states = _filled(np.sqrt(power), plant, corrections, n_samples)
+    states = _fill_scales(np.sqrt(power), plant, corrections, n_samples)
     return Scales(inputs, outputs, states, corrections)
 
 
@@ -223,6 +235,7 @@ def declared_scales(plant: Plant, scale: Mapping[str, Any], n_samples: int) -> S
         "states": plant.A.shape[0],
         "corrections": plant.Bu.shape[1],
     }
+    # check names and signs
     if unknown := set(scale) - set(sizes):
         raise ct.ControlArgument(
             f"scale: {sorted(unknown)[0]!r} is unknown; give {', '.join(map(repr, sizes))}"
@@ -238,7 +251,7 @@ def declared_scales(plant: Plant, scale: Mapping[str, Any], n_samples: int) -> S
     if states is None:
         # rms response to white inputs of the declared size over the first samples, from rest
         states = np.sqrt(_power(plant.A, plant.B * given["inputs"], n_samples))
-        states = _filled(states, plant, corrections, n_samples)
+        states = _fill_scales(states, plant, corrections, n_samples)
     return Scales(given["inputs"], given["outputs"], states, corrections)
 
 
@@ -267,6 +280,7 @@ def _power(a: Array, b: Array, n_samples: int) -> Array:
 
     The states start from rest. Inputs of unit size act through b.
     """
+    # sum over k of |A^(k-1) B|^2, weighted by the samples that an input had time to act
     total = np.zeros(a.shape[0])
     step = b
     with np.errstate(over="ignore", invalid="ignore"):
@@ -285,11 +299,12 @@ def _finite(total: Array, n_samples: int) -> Array:
     return total
 
 
-def _filled(states: Array, plant: Plant, corrections: Array, n_samples: int) -> Array:
+def _fill_scales(states: Array, plant: Plant, corrections: Array, n_samples: int) -> Array:
     """Return the scales of the states with missing ones filled in.
 
     States that the inputs do not move get their scale from the correction.
     """
+    # states that no input excites: as large as a unit correction makes them
     still = states == 0.0
     if still.any():
         moved = np.sqrt(_power(plant.A, plant.Bu * corrections, n_samples))
@@ -354,6 +369,7 @@ class Memory:
 
         They include padding and are in scaled units.
         """
+        # average over the samples learned, at most `static_average`
         learned = int(self.stages[1].counters[4])
         count = min(max(learned, 1), self.recent_theta.shape[0])
         return np.asarray(self.recent_theta[:count].mean(axis=0))
@@ -394,7 +410,9 @@ def start(design: Design, n: int, n_w: int, window: int, memory: int) -> Stage:
     """
     _, n_y, l_u = design.H.shape
     q = regressor_length(n, n_w, l_u, design.order)
+    # length of vec(theta), padded
     m = -(-l_u * q // PADDING) * PADDING
+    # theta = 0 and gain = (alpha I)^-1: only the regularization is known
     return Stage(
         theta=np.zeros(m),
         gain=np.eye(m) / design.alpha,
@@ -427,8 +445,10 @@ def in_units(theta: Array, scales: Scales, order: int) -> Array:
 
     `theta` has shape (..., m) with padding, the result (..., l_u, l_psi).
     """
+    # psi = [x(k) ... x(k - n_c); w(k) ... w(k - n_c); u(k - 1) ... u(k - n_c)]
     units = regressor_scale(scales.states, scales.inputs, scales.corrections, order)
     l_u, q = scales.corrections.size, units.size
+    # u = theta psi in scaled units: multiply rows by the unit of u, divide columns by that of psi
     plain = theta[..., : l_u * q].reshape(*theta.shape[:-1], l_u, q)
     return np.asarray(plain * scales.corrections[:, None] / units)
 
@@ -486,6 +506,7 @@ class Setup(Sampled):
         """Memory before the first sample."""
         delay, n_w = self.delay, self.plant.B.shape[1]
         n_y, l_u = self.plant.Du.shape
+        # past regressors as far back as the Markov parameters and the delay reach
         reach = delay + max(s.markov for s in self.settings)
 
         def empty(s: Settings) -> Stage:
@@ -495,6 +516,7 @@ class Setup(Sampled):
         first, second = map(empty, self.settings)
         return Memory(
             stages=(first, second),
+            # largest output so far over its scale
             peak=np.ones(1),
             levels=np.zeros((3, n_y)),
             recent_theta=np.zeros((self.average, second.theta.size)),
@@ -506,6 +528,7 @@ class Setup(Sampled):
 
     def tuned(self, scales: Scales) -> Tuned:
         """Scale the model and cut the Markov parameters that each stage uses."""
+        # Markov parameters of the scaled model from H_d on, mu of each stage
         scaled, delay = scaled_plant(self.plant, scales), self.delay
         values = markov_parameters(scaled, delay + max(s.markov for s in self.settings))
         first, second = (
@@ -524,12 +547,15 @@ class Setup(Sampled):
         DataError
             If a refiner with these settings cannot have left it.
         """
+        # shapes and types as before the first sample
         fresh = replace(self, scales=None).begin()
         check_like(replace(found, tuned=None), fresh, "memory", _GROWN)
         plant, n_y = self.plant, self.plant.C.shape[0]
+        # samples wait only while the scales are unknown
         held = 0 if found.tuned else found.n_samples
         check_range(len(found.inputs), held, held, "inputs")
         check_range(found.peak, 1.0, np.inf, "peak")
+        # counters stay within the window and the past that are kept
         for stage in found.stages:
             slots, recent = stage.rows.shape[0] // n_y, stage.past_u.shape[0]
             check_range(
@@ -545,6 +571,7 @@ class Setup(Sampled):
         )
         for name in ("inputs", "outputs", "states", "corrections"):
             check_range(getattr(scales, name), np.finfo(float).tiny, np.finfo(float).max, f"scales.{name}")
+        # the scaled model follows from the scales
         return replace(found, tuned=self.tuned(scales))
 
     def found_scales(self, inputs: Array, outputs: Array, before: int, last: bool) -> Scales | None:
@@ -553,6 +580,7 @@ class Setup(Sampled):
         They do not depend on how the stream is cut into blocks.
         """
         labels = (self.initial.input_labels, self.initial.output_labels)
+        # the length doubles until the signals no longer grow
         count = self.warm_up
         longest = count * LONGEST_WARM_UP
         while count <= longest and count <= inputs.shape[0]:
@@ -586,14 +614,17 @@ def make_setup(
     The arguments are those of `RCORefiner`.
     """
     initial, discrete, step = model.initial, model.discrete, model.step
+    # B_u and D_u, by default those of the inputs
     b_u, d_u = correction_path(initial, correction_input, correction_feedthrough)
+    # the correction acts as a held input, too
     if initial.is_continuous and step is not None:
         b_u = discretize(initial.A, b_u, step)[1]
     arrays = (discrete.A, discrete.B, b_u, discrete.C, discrete.D, d_u)
     plant = Plant(*(np.ascontiguousarray(array) for array in arrays))
+    # relative degree of the path u -> y, and each correction must act on an output
     delay = relative_degree(plant)
     column_delays(plant)
-    scales = _declared(plant, scale, warm_up(settings))
+    scales = _scales_given(plant, scale, warm_up(settings))
     return Setup(initial, discrete, step, plant, delay, settings, estimated, average, scales)
 
 
@@ -604,6 +635,7 @@ def as_settings(given: Mapping[str, Any]) -> tuple[Settings, Settings]:
     """
 
     def stage(prefix: str) -> Settings:
+        # stage 2 takes the settings of stage 1 where it has none
         own = {name: given[prefix + name] for name in Settings.__slots__}
         value = {name: given[name] if one is None else one for name, one in own.items()}
         return Settings(
@@ -629,7 +661,7 @@ def correction_path(model: LinearModel, given: Any, feedthrough: Any) -> tuple[A
     return b_u, model.D.copy() if given is None else np.zeros((n_y, l_u))
 
 
-def _declared(plant: Plant, scale: Any, n_samples: int) -> Scales | None:
+def _scales_given(plant: Plant, scale: Any, n_samples: int) -> Scales | None:
     """Scales that the user declares, None for those to be measured."""
     if isinstance(scale, str) and scale == "auto":
         return None
@@ -664,6 +696,7 @@ def explain(
     largest : float
         Largest scaled measured output so far.
     """
+    # the causes of divergence in the order of their frequency
     prefix = "" if stage == 1 else "static_"
     radius = float(np.abs(np.linalg.eigvals(plant.A)).max()) if plant.A.size else 0.0
     sentences = [
@@ -689,6 +722,7 @@ def _zeros(plant: Plant, markov_name: str, markov: int) -> str:
         zeros = path_zeros(plant)
     except np.linalg.LinAlgError:  # numbers hundreds of decades apart
         return "Zeros: those of the path from the correction to the outputs cannot be computed."
+    # retrospective cost inverts the path: zeros outside the unit circle become unstable poles
     outside = zeros[np.abs(zeros) >= 1.0 - 1e-9]
     if not outside.size:
         largest = float(np.abs(zeros).max()) if zeros.size else 0.0
@@ -707,6 +741,7 @@ def _zeros(plant: Plant, markov_name: str, markov: int) -> str:
 
 
 def _place(plant: Plant, delay: int) -> str:
+    # first Markov parameter against the largest one
     values = np.abs(markov_parameters(plant, delay + _SPAN)).max(axis=(1, 2))
     share = float(values[delay] / values.max())
     if delay <= 1 and share >= 0.1:
