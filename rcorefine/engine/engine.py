@@ -102,6 +102,7 @@ class Engine:
         self._known_start = initial is not None
         self.lead = lead
         self._resets = sample_jumps(structure, data.dt)
+        # delays and clock drift: outputs are interpolated between the samples, inputs between the substeps
         if structure.output_delays or clock_drift(structure, structure.start())[1]:
             substeps = max(substeps, _NODES_FOR_DELAY)
         if data.hold == "bandlimited":
@@ -111,7 +112,8 @@ class Engine:
         self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest, data.elapsed)
         # a copy: a read-only view would have the march compiled once more
         self._measured = np.array(data.outputs.T, order="C")
-        point = structure.model.operating_point  # sensors are absolute
+        # operating point: sensors read absolute values, the model deviations
+        point = structure.model.operating_point
         self._level = np.zeros(structure.n_outputs) if point is None else point.outputs
         self._measured += self._level
         self._largest = np.abs(self._measured).max(axis=0, initial=0.0)
@@ -164,9 +166,11 @@ class Engine:
             If a state leaves all bounds.
         """
         s = self.structure
+        # p columns of derivatives: free coefficients, then initial states
         n, ny, m, N = s.n_states, s.n_outputs, s.n_forces, self.data.n_samples
         p = (s.n_parameters if sensitivity else 0) + (n if initial_state else 0)
         derivatives = sensitivity and s.n_parameters > 0
+        # matrices of one substep, and their derivatives by the coefficients
         at = setting(s, theta, self.data.dt / self.substeps, derivatives)
         drive = self._signal.drive(s, theta)
         if not sensitivity:
@@ -206,6 +210,7 @@ class Engine:
                 f"the simulation left all bounds at sample {blew_up} (t = {blew_up * self.data.dt:.6g} s): "
                 "the model with these effects is unstable; start from other coefficients or bound them"
             )
+        # output delays act after the simulation, by interpolation
         for index, channel in s.output_delays:
             if np.isfinite(Yout[:, channel]).all():  # where it blew up there is nothing to shift
                 self._delay_output(theta, index, channel, Yout, SY, sensitivity, drive)
@@ -278,16 +283,19 @@ class Engine:
 
         It is found without nonlinear forces and serves as the unit of the state.
         """
+        # first run without nonlinear forces
         calm = theta.copy()
         if not self.structure.is_linear:
             calm[self.structure.port_columns] = 0.0
         run = self.run(calm, sensitivity=False, histories=True, check=False)
+        # leave out what follows after the motion has run away
         outputs, far = run.outputs.T + self._level, np.where(self._largest > 0, self._largest, np.inf)
         away = ~(np.abs(outputs) <= _RUNS_AWAY * far).all(axis=1)
         end = int(away.argmax()) if away.any() else -1
         reached = np.abs(run.states[:, : end if end > 0 else None]).max(axis=1, initial=0.0)
         if (reached > 0).all():
             return np.asarray(reached)
+        # states that did not move: the size that moves an output by its own size
         level = self._largest[:, None, None]
         slopes = self.run(calm, sensitivity=False, initial_state=True, check=False).sensitivity
         return own_sizes(reached, (slopes / np.where(level > 0, level, 1.0)).reshape(-1, reached.size))
@@ -305,6 +313,7 @@ class Engine:
         value, column = float(self.structure.value(theta, index, name)), self.structure.position(index, name)
         grid: Array = self.data.dt * np.arange(Y.shape[0], dtype=np.float64)
         corners = self._corners(theta, channel, SY.shape[2] if sensitivity else 0, drive)
+        # delay of the output, then of its derivatives, which have corners of their own
         late, slope = law.later(_course(grid, Y[:, channel], corners[..., 0]), value)
         if SY.shape[2]:
             slopes = SY[:, channel]
@@ -327,6 +336,7 @@ class Engine:
         p = min(columns, s.n_parameters)
         if drive.course or channel in [at for _, at in s.output_statics]:
             return np.zeros((2, N - 1, 1 + p))
+        # complex steps give the derivatives of C B (slope per unit of input) and C A B (curvature)
         points = np.vstack([theta, theta + 1e-30j * np.eye(theta.size)[:p]])
         at = continuous_matrices(s, points)
         C = at.C[:, None, channel]
@@ -347,9 +357,11 @@ def _course(grid: Array, values: Array, corners: Array) -> CubicSpline:
     What has the slopes and curvatures `corners` (2, N - 1, ...) is taken off, and the rest is smooth.
     """
     (slope, bend), h = corners, grid[1] - grid[0]
+    # piecewise quadratic with these slopes and curvatures, continuous at the samples
     slope = slope + np.cumsum(bend * h, axis=0) - bend * h
     whole = np.concatenate([0.0 * slope[:1], np.cumsum(slope * h + bend * (h * h / 2), axis=0)])
     course = CubicSpline(grid, values - whole)
+    # add the quadratic to the coefficients of the cubic spline, highest power first
     course.c[-3:] += [bend / 2, slope, whole[:-1]]
     return course
 

@@ -51,6 +51,7 @@ def brief_modes(engine: Engine) -> Array:
     Phi = exponential(structure.matrices(theta).A[None] * data.dt)[0]
     if not np.isfinite(Phi).all() or np.abs(np.linalg.eigvals(Phi)).min() >= _BRIEF:
         return none
+    # states of the free run and of the observer: how large they become
     alone = Engine(structure, data, substeps=engine.substeps)
     gain = observer_gain(structure, theta, data, 1.0)
     with np.errstate(all="ignore"):
@@ -125,6 +126,7 @@ def estimate_initial_state(
         calm[engine.structure.port_columns] = 0.0  # without its nonlinear forces: a safe first guess
     prior = np.zeros((0, engine.structure.n_states))
 
+    # residual and Jacobian of the initial state; rows of the prior below
     def rows(theta: Array, point: Array, gain: Array | None = gain) -> Rows:
         run = engine.run(theta, point, sensitivity=False, initial_state=True, gain=gain, use=use, check=False)
         error = (weights * (run.outputs - engine.data.outputs)).ravel()
@@ -134,6 +136,7 @@ def estimate_initial_state(
         return Rows(error if sound else np.full(1, np.inf), slopes)
 
     rest = np.zeros(engine.structure.n_states)
+    # Gauss-Newton on the linear part, exact in one step
     descend = partial(gauss_newton, sizes=engine.state_sizes(theta), tolerance=1e-8, damping=0.0)
     linear = partial(descend, partial(rows, calm), rest, evaluations=3)
     found = linear()
@@ -148,6 +151,7 @@ def estimate_initial_state(
     whole = partial(rows, theta)
     # where the linear part alone explains little, its start may lie beyond every motion: rest is nearer then
     nearer = min(found.point, rest, key=lambda point: float(np.sum(whole(point).residual ** 2)))
+    # nonlinear: approach the free run by observers of falling gain, then refine it
     for ratio in _RATIOS if gain is None else ():  # a free run far off has valleys; one that is led has few
         lead = observer_gain(engine.structure, theta, engine.data, ratio)
         if np.isfinite(lead).all():

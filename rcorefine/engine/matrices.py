@@ -55,6 +55,7 @@ def site_of(structure: Structure, index: int) -> Site:
     elif "any" in where:
         entry = entry_among(structure, effect.place)
     else:
+        # port: column of its force, rows of its displacement and velocity; zero for added states
         port = structure.model.port(effect.place)
         rows = [np.pad(row, (0, n - row.size)) for row in (port.act, port.position, port.velocity)]
         inputs = [port.position_input, port.velocity_input, port.acceleration_input]
@@ -84,7 +85,8 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
     model, n, nw, ny = structure.model, structure.n_states, structure.n_inputs, structure.n_outputs
     n0, field = structure.linear_model.n_states, structure.field
     scales = [act_scales(structure, theta) for theta in points]
-    into = _together([_absorbed(structure, *at) for at in zip(points, scales, strict=True)])
+    # linear effects go into A and B; the other forces enter by E and sense by P
+    into = _stack([_assemble(structure, *at) for at in zip(points, scales, strict=True)])
     E, P = _ports(structure, into.A.dtype, scales)
     if field is not None:  # its rows are forces on states of the model, and then on outputs
         own = np.eye(n, n0 + ny)[:, field.rows]
@@ -100,6 +102,7 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
         A, Bu, E, constant = (
             solved[:, :, :n], solved[:, :, n : n + nw], solved[:, :, n + nw : -1], solved[:, :, -1],
         )  # fmt: skip
+    # inputs after gains and lags: u = Uw w + Ux x
     B = Bu @ into.Uw
     B[:, :, nw] += constant
     A = A + Bu @ Ux
@@ -110,11 +113,13 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
     Co, Cr, offset, Ca = _sensors(structure, into)
     C, D, G = Co + Cr @ Ux + Ca @ A, Cr @ into.Uw + Ca @ B, Ca @ E
     D[:, :, nw] += offset
+    # forces that an output reads at once (accelerometers, force sensors)
     for j, index in enumerate(structure.port_effects):
         output = model.port(structure.effects[index].place).output
         G[:, : output.size, j] += output
     if field is not None:
         G[:, :, structure.n_ports :] += np.eye(ny, n0 + ny, n0)[:, field.rows]
+    # lag at an output: its state obeys dy/dt = (C x + D w + G f - y) / lag
     for i, state, lag in into.output_lags:
         A[:, state] = C[:, i] / lag[:, None]
         A[:, state, state] -= 1.0 / lag
@@ -122,8 +127,10 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
         E[:, state] = G[:, i] / lag[:, None]
         C[:, i], D[:, i], G[:, i] = 0.0, 0.0, 0.0
         C[:, i, state] = 1.0
+    # gain and offset of the sensors
     C, D, G = (rows * into.output_gain[:, :, None] for rows in (C, D, G))
     D[:, :, nw] += into.output_offset
+    # what the places feel, by [x; w; 1]
     sense = np.concatenate([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ into.Uw], axis=2)
     for j in filter(structure.fills, range(structure.n_ports)):  # what fills a store
         velocity = P[structure.n_ports + j, :n]
@@ -157,6 +164,7 @@ def _make_absolute(
     n0, m = structure.linear_model.n_states, structure.n_ports
     assert point is not None
     rest = np.array([tangents(structure, theta) for theta in points])[:, :, :, None]
+    # force at the point and tangent of each law, by [x; w; 1]: subtract E and G times them
     known = rest[:, :, 1] * at.P[:, :m] + rest[:, :, 2] * at.P[:, m : 2 * m]
     known[:, :, n + nw] += rest[:, :, 0, 0]
     for by_state, by_input, pushes in ((at.A, at.B, at.E), (at.C, at.D, at.G)):
@@ -166,7 +174,7 @@ def _make_absolute(
     at.D[:, :, nw] += (1.0 if structure.field is None else gain) * point.outputs
 
 
-def _together(parts: list[Assembly]) -> Assembly:
+def _stack(parts: list[Assembly]) -> Assembly:
     """Stack the assemblies of several points along a new first axis."""
     found: dict[str, Any] = {}
     for name in (entry.name for entry in fields(Assembly)):
@@ -181,12 +189,13 @@ def _together(parts: list[Assembly]) -> Assembly:
     return Assembly(**found)
 
 
-def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any]) -> Assembly:
+def _assemble(structure: Structure, theta: NDArray[Any], scales: dict[str, Any]) -> Assembly:
     """The model's own matrices, with the linear effects in them."""
     base, n, nw, ny = structure.linear_model, structure.n_states, structure.n_inputs, structure.n_outputs
     kind = theta.dtype if theta.size else np.dtype(float)
     rates = np.zeros((n, n + nw), kind)
     A, Bu = rates[:, :n], rates[:, n:]
+    # A and Bu are views of one array, so that effects can write whole rows
     A[: base.n_states, : base.n_states], Bu[: base.n_states] = base.A, base.B
     Uw = np.hstack([np.eye(nw, dtype=kind), np.zeros((nw, 1), kind)])
     one, constant = np.eye(n, dtype=kind), np.zeros(n, kind)
@@ -200,6 +209,7 @@ def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any])
         if not site.output.size:
             effect.spec.absorb(into, site, *values)
             continue
+        # output that reads the force at once: what the effect adds to the force, times that output
         before = into.force(site.act)
         effect.spec.absorb(into, site, *values)
         into.felt.append(np.outer(site.output, into.force(site.act) - before))
@@ -255,6 +265,7 @@ def _input_lags(into: Assembly) -> tuple[NDArray[Any], list[tuple[int, NDArray[A
     Ux = np.zeros((points, nw, into.A.shape[-1]), into.A.dtype)
     drives = []
     for i, state, lag in into.input_lags:
+        # lag at an input: dx/dt = (Uw w - x) / lag, u = x
         Ux[:, i, state] = 1.0
         into.A[:, state, state] = -1.0 / lag
         drives.append((state, into.Uw[:, i] / lag[:, None]))

@@ -61,8 +61,10 @@ def observer_gain(
             open_loop(structure), theta, data, ratio, at=at, noise=noise
         )
         return gain
+    # linearize about the operating point
     A, B, C, _ = about_point(structure, theta.astype(float))
     nw, n = structure.n_inputs, structure.n_states
+    # sizes of inputs and outputs: rms and standard deviation of the record
     level = np.sqrt(np.mean(data.inputs**2, axis=1))
     level = np.where(level > 0, level, 1.0)
     spread = data.outputs.std(axis=1)
@@ -73,6 +75,7 @@ def observer_gain(
     drives = list(G.T)
     top = max((np.linalg.norm(d) for d in drives), default=1.0) or 1.0
     acts = [] if at == "inputs" and drives else [port.act for port in structure.model.ports]
+    # unknown forces at the places, as large as the largest input
     for act in acts:
         padded = np.zeros(n)
         padded[: act.size] = act
@@ -81,6 +84,7 @@ def observer_gain(
         if size > 0:
             drives.append(padded * (top / size))
     G = np.column_stack(drives) * ratio
+    # matrix of Van Loan: its exponential holds Phi and the process noise Q
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[:n, n:], block[n:, n:] = -A, G @ G.T, A.T
     # Van Loan: exact covariance of a force that is constant over a sample, as a density
@@ -189,12 +193,14 @@ def steady_filter(F: Array, H: Array, Q: Array, R: Array) -> SteadyFilter:
     if n == 0:
         return SteadyFilter(np.zeros((0, H.shape[0])), np.zeros((0, 0)), R)
     Q = 0.5 * (Q + Q.T)
+    # P = F P F' - F P H' (H P H' + R)^-1 H P F' + Q
     try:  # scipy balances entries that are rounding beyond all bounds
         P = solve_discrete_are(F.T, H.T, Q, R, balanced=False)
         if not np.isfinite(P).all():
             raise LinAlgError
     except (LinAlgError, ValueError):
         P = _finite_horizon(F, H, Q, R)  # a state that the outputs cannot see has no steady covariance
+    # innovation covariance and Kalman gain
     S = H @ P @ H.T + R
     return SteadyFilter(_gain(P, H, S), P, S)
 
@@ -210,6 +216,7 @@ def _finite_horizon(F: Array, H: Array, Q: Array, R: Array) -> Array:
     P = Q.copy()
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_HORIZON):
+            # Kalman filter: update of the covariance, then prediction
             K = _gain(P, H, H @ P @ H.T + R)
             P = F @ (P - K @ H @ P) @ F.T + Q
             P = 0.5 * (P + P.T)
@@ -290,17 +297,19 @@ def steadying_ratio(model: PhysicalModel, record: Measurement) -> float | None:
         while len(_KNOWN) >= _KEPT:
             _KNOWN.pop(next(iter(_KNOWN)), None)  # threads may do the same
         # the field is kept, so that its id stays its own
-        known = _KNOWN[key] = (field, _sought(open_loop(Structure(model)), record))
+        known = _KNOWN[key] = (field, _find_ratio(open_loop(Structure(model)), record))
     return known[1]
 
 
-def _sought(bare: Structure, record: Measurement) -> float | None:
+def _find_ratio(bare: Structure, record: Measurement) -> float | None:
     engine, theta = Engine(bare, record, substeps=2), np.zeros(0)
     gains = {ratio: observer_gain(bare, theta, record, ratio) for ratio in _FORCES}
+    # motion along the record by the strongest observer; is it chaotic?
     run = engine.run(theta, sensitivity=False, gain=gains[_FORCES[-1]], histories=True, check=False)
     if run.blew_up >= 0 or growth(bare.model, run.states, record) < _REGULAR:
         return None
     missed = np.std(run.outputs - engine.data.outputs)
+    # weakest observer that follows the record and forgets its initial state
     for ratio, gain in gains.items():
         run = engine.run(theta, sensitivity=False, initial_state=True, gain=gain, check=False)
         felt = np.abs(run.sensitivity).max(axis=(0, 2))
@@ -332,6 +341,7 @@ def growth(model: PhysicalModel, states: Array, record: Measurement) -> float:
     A = model.linear.A + np.nan_to_num(slopes)
     scale = _balancing(np.sqrt(np.mean(A**2, axis=0)))
     error, total, least, most = np.eye(n), 0.0, 0.0, 0.0
+    # propagate an error of the state, scaled to one after each sample; sum up the logarithms
     for step in exponential(A / scale[:, None] * scale * record.dt):
         error = step @ error
         size = float(np.linalg.norm(error, 2))
