@@ -47,9 +47,11 @@ def growing_lags(structure: Structure, records: Sequence[Measurement]) -> list[f
         Empty where the free run does not move, or has no bounds.
     """
     pairs = [pair for record in records for pair in _free_run(structure, record)]
+    # phase error at the end of the record per unit of drift, in radians
     slips = [float(t[-1] * np.std(np.gradient(x, t)) / np.std(x)) for t, _, x in pairs]
     if not slips:
         return []
+    # steps of half a radian; the share with the highest correlation
     step = _SLIP / max(slips)
     most = min(int(_MOST_DRIFT / step), _DRIFTS)
     tried = step * np.arange(-most, most + 1)
@@ -65,6 +67,7 @@ def _free_run(structure: Structure, record: Measurement) -> list[tuple[Any, ...]
     run = Engine(structure, record).run(np.zeros(structure.n_parameters), sensitivity=False, check=False)
     if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
         return []
+    # time since the recording began
     passed = record.elapsed + record.dt * np.arange(record.n_samples)
     pairs = zip(record.outputs, run.outputs, strict=True)
     return [(passed, y, free) for y, free in pairs if np.ptp(y) > 0 < np.ptp(free)]
@@ -87,6 +90,7 @@ def common_lag(structure: Structure, record: Measurement) -> float:
     float
         0 where the free run does not move, or has no bounds.
     """
+    # correlation over all outputs
     alike = sum(np.abs(_correlations(y, x, y.size // 3)) for _, y, x in _free_run(structure, record))
     return record.dt * int(np.argmax(alike))
 
@@ -102,7 +106,9 @@ def _correlations(late: Array, early: Array, count: int) -> Array:
     def left(part: Array) -> Array:
         return np.asarray(np.cumsum(part[::-1])[::-1][:count])
 
+    # covariance at each lag by FFT, with the mean of the overlapping part removed
     both = fftconvolve(y, x)[y.size - 1 :][:count] - left(y) * left(x) / size
+    # variances of both overlapping parts
     powers = [np.maximum(left(s * s) - left(s) ** 2 / size, _ROUNDING * (s @ s)) for s in (y, x)]
     return np.asarray(both / np.sqrt(powers[0]) / np.sqrt(powers[1]))
 
@@ -116,6 +122,7 @@ class Motion:
     """Displacement and velocity at the places, estimated by an observer."""
 
     def __init__(self, structure: Structure, theta: Array, data: Measurement, ratio: float = 1.0) -> None:
+        # states of an observer along the record
         engine = Engine(structure, data)
         gain = existing_gain(structure, theta, data, ratio)
         run = engine.run(theta, sensitivity=False, gain=gain, histories=True, check=False)
@@ -146,6 +153,7 @@ class ResponseMotion(Motion):
     def __init__(self, structure: Structure, theta: Array, data: ResponseRecord) -> None:
         self.data = data
         self.companions: list[Motion] = []
+        # residual of the response in units of its noise
         run = engine_on(structure, data).run(theta, sensitivity=False)
         self.residual = data.points((data.outputs - run.outputs) / data.noise)
         self._structure, self._theta = structure, theta
@@ -203,6 +211,7 @@ def law_widths(structure: Structure, motion: Motion) -> dict[int, float]:
         effect = structure.effects[index]
         share = effect.spec.width_share
         if share is not None:
+            # width: the user's, else a share of the rms velocity
             given = (effect.fixed or {}).get("width")
             speeds = np.array([np.sqrt(np.mean(m.port(effect.place)[1] ** 2)) for m in motions])
             # sharp enough for the quietest record that moves at all
@@ -235,11 +244,13 @@ def shape_starts(structure: Structure, theta: Array, motion: Motion, first: int 
     joint: list[list[list[tuple[int, float]]]] = []
     for index, effect in enumerate(structure.effects[first:], first):
         given = effect.start or {}
+        # free coefficients without a value from the user
         wanted = {
             name: structure.position(index, name)
             for name in effect.coefficients
             if structure.position(index, name) >= 0 and name not in given
         }
+        # values that the record suggests, one row for each shape
         options = effect.spec.starts(_Seen(structure, index, motion))
         rows = []
         for option in options:
@@ -249,6 +260,7 @@ def shape_starts(structure: Structure, theta: Array, motion: Motion, first: int 
         if rows:
             joint.append(rows)
     starts = []
+    # all combinations of the shapes of the effects
     for combination in itertools.islice(itertools.product(*joint), _MOST_STARTS):
         point = theta.copy()
         for column, value in itertools.chain.from_iterable(combination):
@@ -298,9 +310,11 @@ class _Seen:
         if isinstance(data, ResponseRecord):
             frequency, level = data.omega, np.log(np.mean(np.abs(residual) ** 2, axis=(0, 1)) + 1e-300)
         else:
+            # power spectrum of the residual (Welch)
             left = residual - residual.mean(axis=1, keepdims=True)
             hertz, power = welch(left, fs=1.0 / self.dt, nperseg=min(1024, left.shape[1]))
             frequency, level = 2 * np.pi * hertz[1:], np.log(power.mean(axis=0) + 1e-300)[1:]
+        # the three most prominent peaks
         found, info = find_peaks(level, prominence=0.5)
         return np.asarray(frequency[found[np.argsort(info["prominences"])[::-1][:3]]])
 
@@ -319,6 +333,7 @@ class _Seen:
 
     @property
     def pull(self) -> float:
+        # inertia times rms acceleration
         inertia = self._structure.inertia(self._place)
         return inertia * float(np.std(np.gradient(self.v, self.dt))) if np.isfinite(inertia) else 1.0
 
@@ -347,6 +362,7 @@ def far_starts(problem: Problem, structure: Structure, theta: Array) -> list[Arr
     list of ndarray
         The best point of a coordinate-wise scan, empty where nothing can be scanned.
     """
+    # elements of unknown size: springs, dampers, masses without a declared tolerance
     nominal = {(q.kind, q.place): abs(q.value) for q in structure.model.parameters}
     columns = []
     for i, parameter in enumerate(structure.parameters):
@@ -359,6 +375,7 @@ def far_starts(problem: Problem, structure: Structure, theta: Array) -> list[Arr
             columns.append((i, size))
     if not columns:
         return []
+    # scan each coefficient over ten decades, one after the other, three times at most
     factors = np.logspace(-5, 5, 21)
     points = []
     for base in (theta, structure.start()):
@@ -380,6 +397,7 @@ def far_starts(problem: Problem, structure: Structure, theta: Array) -> list[Arr
 
 
 def _free_run_cost(problem: Problem, theta: Array) -> float:
+    # sum of squares of the free run from rest
     total = 0.0
     for engine in problem.engines:
         run = engine.run(theta, sensitivity=False, check=False)

@@ -79,6 +79,7 @@ class Whitener:
         floor : float or array_like of shape (n_y,)
             Standard deviation below which an innovation is rounding.
         """
+        # one model for each output, over all records
         models = [autoregression(row, order=order, most=most) for row in np.concatenate(residuals, axis=1)]
         left = np.sqrt([variance for _, variance in models])
         # nothing is left where no sample is judged, or an observer follows the record: that is no noise
@@ -156,12 +157,15 @@ def huber_weights(residual: Array, outputs: NDArray[np.intp]) -> Array | None:
         mine = outputs == i
         r = residual[mine]
         known = r[r != 0.0]  # a sample that is not judged is exactly zero
+        # robust scale: median of the absolute values
         scale = float(np.median(np.abs(known))) / stats.norm.ppf(0.75) if known.size else 0.0
         if scale <= 0.0:
             continue
+        # excess kurtosis, against its standard deviation sqrt(24 / N)
         square = (known / scale) ** 2
         excess = float(np.mean(square**2) / np.mean(square) ** 2) - 3.0
         heavy = heavy or excess > _HEAVY * np.sqrt(24.0 / known.size)
+        # square root of Huber's weight min(1, c / |r|)
         weights[mine] = np.sqrt(np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(r), 1e-9 * scale)))
     return weights if heavy else None
 
@@ -233,6 +237,7 @@ def autoregression(
     longest = highest_order(int(whole.sum()))
     most = order if order is not None else longest if most is None else min(most, longest)
     n = r.size - most
+    # sums of products of lagged samples, (order + 1, order + 1)
     if whole.all():
         products = _products(r, most)
         for column in () if unsure is None else unsure.T:
@@ -244,11 +249,15 @@ def autoregression(
     power = float(products[0, 0])
     if most == 0 or not 0.0 < power < np.inf:
         return np.eye(1, 1 + (order or 0))[0], power / max(n, 1)
+    # Cholesky factorization: least squares of all orders at once
     ridge = _RIDGE * np.trace(products) / (most + 1) * np.eye(most)
     lower = cholesky(products[1:, 1:] + ridge, lower=True)
     along = solve_triangular(lower, products[1:, 0], lower=True)
+    # residual power of each order
     rest = np.maximum(power - np.concatenate([[0.0], np.cumsum(along**2)]), 1e-14 * power)
+    # information criterion: log-likelihood and price of the coefficients
     best = int(np.argmin(n * np.log(rest) + price * np.arange(rest.size))) if order is None else order
+    # coefficients of the chosen order
     past = solve_triangular(lower[:best, :best], along[:best], lower=True, trans="T")
     return np.concatenate([[1.0], -past]), float(rest[best]) / n
 

@@ -79,6 +79,7 @@ def discretize(A: ArrayLike, B: ArrayLike, dt: float, hold: str = "zoh") -> tupl
     b = b / scale[:, None]
     columns = power_of_two(np.max(np.abs(b), axis=0, initial=0.0))
     blocks = 2 if hold == "foh" else 1
+    # exponential of [A B 0; 0 0 I; 0 0 0] dt: transition, held input, ramp of the input (Van Loan)
     block = np.zeros((n + blocks * n_w, n + blocks * n_w))
     block[:n, :n] = a * step
     block[:n, n : n + n_w] = b / columns
@@ -94,6 +95,7 @@ def discretize(A: ArrayLike, B: ArrayLike, dt: float, hold: str = "zoh") -> tupl
             f"the model grows beyond floating point within one sample of {step:g} s; "
             "check the signs and units of A, or sample faster"
         )
+    # w(k) acts by the hold less the ramp, w(k+1) by the ramp
     return phi, held - ramp, ramp
 
 
@@ -184,9 +186,11 @@ def exponential(matrices: NDArray[Any]) -> NDArray[Any]:
         scale = balance(size)
         matrices = matrices * scale / scale[:, None]
         norm = float(np.abs(matrices).sum(axis=-2).max(initial=0.0))
+    # scaling and squaring: exp(M) = exp(M / 2^s)^(2^s)
     squarings = max(0, int(np.ceil(np.log2(max(norm, 1e-300) / _THETA))))
     a = matrices / 2.0**squarings
     one = np.eye(a.shape[-1])
+    # Pade approximant of degree 9, split in even and odd powers
     a2 = a @ a
     a4 = a2 @ a2
     a6 = a4 @ a2
