@@ -92,6 +92,7 @@ def rate_at(A: Array, act: Array, velocity: Array) -> float:
         The natural frequency of a mass on its springs, or the damping rate where that is larger. The same in
         all units of the states. It is 0 if nothing brings back what the force moves.
     """
+    # rate at which the velocity decays, and square root of the spring's: v A act, v A^2 act
     moved, once = float(velocity @ act), A @ act
     if moved == 0.0:
         return 0.0
@@ -120,6 +121,7 @@ def natural_size(model: PhysicalModel, q: NominalParameter) -> float:
     rate = rate_at(model.linear.A, port.act, port.velocity)
     if not rate:
         return 0.0
+    # 1/m is the velocity per force; critical damping 2 m omega, stiffness m omega^2
     return (2.0 * rate if q.kind == Damping.name else rate**2) / abs(float(port.velocity @ port.act))
 
 
@@ -148,6 +150,7 @@ def combine_units(rule: str, units: Mapping[str, str]) -> str:
     >>> combine_units("force/velocity", {"force": "V", "velocity": "A"})
     'Ohm'
     """
+    # exponents of the base units: product of the factors
     powers: dict[str, float] = {}
     for name, power in parse_unit(rule).items():
         unit = units.get(name, name)
@@ -164,6 +167,7 @@ def parse_unit(text: str) -> dict[str, float]:
     powers: dict[str, float] = {}
     for match in _FACTOR.finditer(text):
         base, exponent = match.group(1), float(match.group(2) or 1)
+        # a slash before a parenthesis divides all that is inside
         opening = text.rfind("(", 0, match.start())  # of a parenthesis that may follow a slash
         inside = opening > 0 and ")" not in text[opening : match.start()]
         divided = any(text[:at].rstrip().endswith("/") for at in (match.start(), *[opening] * inside))
@@ -203,6 +207,7 @@ def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]
         input all of whose weights are free: judged by what they change in the transfer function.
     """
     entries = {q.name: entry_of(model.linear, q.place) for q in model.parameters if q.kind == Entry.name}
+    # redundancy arises only with entries of B, C and D
     if not any(max(entry) >= model.linear.n_states for entry in entries.values()):
         return model.parameters
     responses = _Responses(model)
@@ -214,10 +219,12 @@ def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]
             continue
         column = responses.change(q)
         size = float(np.linalg.norm(column))
+        # Gram-Schmidt orthogonalization
         for _ in range(2):  # twice: the first projection leaves rounding of what it takes away
             for known in basis:
                 column = column - (known @ column) * known
         left = float(np.linalg.norm(column))
+        # the part that no parameter before it explains
         if left > _OWN * size:
             basis.append(column / left)
             found.append(q)
@@ -232,12 +239,14 @@ class _Responses:
 
     def __init__(self, model: PhysicalModel) -> None:
         linear, self.model = model.linear, model
+        # points in the complex plane around the poles
         n = linear.n_states
         sizes = np.abs(np.linalg.eigvals(linear.A))
         low, high = sizes[sizes > 0].min(initial=np.inf), sizes.max(initial=0.0)
         low, high = (low, high) if high > 0 else (1.0, 1.0)
         s = np.geomspace(0.1 * low, 10 * high, _POINTS * (n + 1)) * np.exp(1j * np.pi / 3)
         away = [at * np.eye(n) - linear.A for at in s]
+        # (s I - A)^-1 B and C (s I - A)^-1
         states = np.array([np.linalg.solve(M, linear.B) for M in away])  # (k, n, n_w): of the inputs
         read = np.array([np.linalg.solve(M.T, linear.C.T).T for M in away]) + model.output_rate
         ones = np.ones((s.size, 1, 1))
@@ -250,6 +259,7 @@ class _Responses:
     def change(self, q: NominalParameter) -> NDArray[np.float64]:
         """By a relative change of one number, real and imaginary parts in a row."""
         linear = self.model.linear
+        # a gain scales the column of its input
         if q.kind == InputGain.name:
             changed = self.whole * (np.array(linear.input_labels) == q.place)
         else:
@@ -262,6 +272,7 @@ class _Responses:
                 d = (port.position, port.position_input) if spring else (port.velocity, port.velocity_input)
                 felt = port.output if port.output.size else np.zeros(linear.n_outputs)
                 act, sense = np.concatenate([port.act, felt]), np.concatenate(d)
+            # dG = C (s I - A)^-1 act * sense (s I - A)^-1 B
             changed = (q.value or 1.0) * (self.outputs @ act)[:, :, None] * (sense @ self.inputs)[:, None, :]
         flat = (changed * self.scale).reshape(-1)
         return np.concatenate([flat.real, flat.imag])

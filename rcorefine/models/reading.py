@@ -68,6 +68,7 @@ def read_matrix(path: Path, where: str) -> Any:
             return _from_text(path)
         if suffix == ".npy":
             return array_of(path.read_bytes(), path.name)
+        # in a process of its own, since a damaged file can crash the reader
         found = read_apart(path, "mtx", "Matrix Market file that scipy")
         if "shape" not in found:
             return found["data"]
@@ -79,6 +80,7 @@ def read_matrix(path: Path, where: str) -> Any:
 
 
 def _from_text(path: Path) -> Array:
+    # remarks are cut off; semicolons mean decimal commas
     text = re.sub(r"#.*", "", path.read_text(encoding="utf-8-sig"))
     if not text.strip():
         raise ValueError("it is empty")
@@ -139,12 +141,14 @@ def read_model(path: str | PathLike[str]) -> ct.StateSpace | PhysicalModel:
     """
     file = Path(path)
     suffix = file.suffix.lower()
+    # TOML: matrices, or a builder with its parameters
     if suffix == ".toml":
         return _from_toml(file)
     if suffix not in (".npz", ".mat"):
         raise ModelError(
             f"{file}: a model is a .toml, .npz or .mat file, not {suffix or 'without a suffix'!r}"
         )
+    # NumPy or MATLAB file: variables A, B, C, D and labels
     variables: dict[str, Any] = read_archive(file) if suffix == ".npz" else read_matlab(file)
     values: dict[str, Any] = {key: variables[key] for key in ("A", "B", "C", "D") if key in variables}
     for key in (*_LABELS, "name"):
@@ -185,18 +189,21 @@ def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     if len(content) != 1:
         found = ", ".join(content) or "nothing"
         raise ModelError(f"{file} must hold one table, one of {known}; it holds {found}")
+    # one table, named like the builder
     [(kind, table)] = content.items()
     if kind not in (MATRICES, *builder_names()):
         raise ModelError(f"{file}: no model is called {kind!r}; there are {known}")
     if not isinstance(table, dict):
         raise ModelError(f"{file}: {kind} must be a table, [{kind}] on a line of its own")
     where = f"{file}, [{kind}]"
+    # matrices in files of their own, beside the TOML file
     for key in _IN_FILES.get(kind, ()):
         if isinstance(table.get(key), str):
             table[key] = _from_file(file.parent / table[key], f"{where}, {key}", whole="n_modes" not in table)
     if kind != MATRICES:
-        return _built(getattr(builders, kind), table, where)
+        return _call_builder(getattr(builders, kind), table, where)
     holds = f"the table holds {', '.join(table) or 'nothing'}"
+    # declarations make it a physical model
     declared = {key: table.pop(key) for key in _KNOWN if key in table}
     plain = _state_space(table, where, holds, file)
     with _within(where):
@@ -218,8 +225,9 @@ def _from_file(path: Path, where: str, *, whole: bool) -> Any:
     return matrix[0] if np.ndim(found) == 1 else matrix
 
 
-def _built(builder: Any, table: Mapping[str, Any], where: str) -> PhysicalModel:
+def _call_builder(builder: Any, table: Mapping[str, Any], where: str) -> PhysicalModel:
     """Return the model of a builder from the parameters in a table."""
+    # arguments that the builder takes, and those that it needs
     parameters = inspect.signature(builder).parameters
     unknown = [key for key in table if key not in parameters]
     if unknown:
@@ -280,10 +288,12 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, file: Path) 
     missing = [key for key in ("A", "B", "C") if key not in values]
     if missing:
         raise ModelError(f"{where}: {', '.join(missing)} missing; {holds}")
+    # D is zero where it is missing
     matrices = _matrices({"D": 0.0, **values}, where)
     dt = values.get("dt", 0)
     if isinstance(dt, bool) or not isinstance(dt, (int, float)) or not 0 <= dt < 1e300:
         raise ModelError(f"{where}: dt must be a time in s, or 0 for continuous time, not {dt!r}")
+    # as many labels as signals
     labels = {}
     for key, count in zip(_LABELS, (*matrices[3].shape[::-1], len(matrices[0])), strict=True):
         if key in values:
@@ -301,6 +311,7 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, file: Path) 
 
 def _matrices(values: Mapping[str, Any], where: str) -> list[Array]:
     """A, B, C and D of sizes that fit."""
+    # a plain list is a row or a column, as the sizes ask
     A, B, C, D = (_matrix(values[key], f"{where}, {key}") for key in "ABCD")
     n = len(A)
     if np.ndim(values["B"]) == 1 and n != 1:
