@@ -52,17 +52,17 @@ def brief_modes(engine: Engine) -> Array:
     if not np.isfinite(Phi).all() or np.abs(np.linalg.eigvals(Phi)).min() >= _BRIEF:
         return none
     # states of the free run and of the observer: how large they become
-    alone = Engine(structure, data, substeps=engine.substeps)
+    bare = Engine(structure, data, substeps=engine.substeps)
     gain = observer_gain(structure, theta, data, 1.0)
     with np.errstate(all="ignore"):
-        free, led = (
-            alone.run(theta, sensitivity=False, gain=g, histories=True, check=False)
+        free, corrected = (
+            bare.run(theta, sensitivity=False, gain=g, histories=True, check=False)
             for g in (np.zeros_like(gain), gain)
         )
         left = (data.outputs - free.outputs).std(axis=1)
     if not np.all(left < _TELLS * data.outputs.std(axis=1)):  # a model so far off has other modes
         return none
-    sound = [run.states for run in (free, led) if np.isfinite(run.states).all()]
+    sound = [run.states for run in (free, corrected) if np.isfinite(run.states).all()]
     sizes = np.max([np.abs(states).max(axis=1) for states in sound], axis=0)
     sizes = np.where(sizes > 0, sizes, 1.0)
     # a left invariant subspace: what it takes of the state depends on the past by brief modes alone

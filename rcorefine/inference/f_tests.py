@@ -309,9 +309,9 @@ class Basis:
         # rows of each record; its own directions first, then the common ones outside of these
         ends = np.cumsum([len(rows) for rows in common])
         places = [slice(int(end) - len(rows), int(end)) for end, rows in zip(ends, common, strict=True)]
-        alone = tuple((at, rank_basis(columns)) for at, columns in zip(places, own, strict=True))
+        separate = tuple((at, rank_basis(columns)) for at, columns in zip(places, own, strict=True))
         whole = np.concatenate(common)
-        return cls(rank_basis(project(whole, cls(whole[:, :0], alone)), lengths(whole)), alone)
+        return cls(rank_basis(project(whole, cls(whole[:, :0], separate)), lengths(whole)), separate)
 
     @property
     def rank(self) -> int:

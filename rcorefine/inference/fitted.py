@@ -148,9 +148,9 @@ class FittedModel:
             stronger[:, k] *= 1.0 + _STRONGER
             for i, (engine, start) in enumerate(zip(self.problem.engines, starts, strict=True)):
                 run = engine.run(theta, start, sensitivity=False, gain=stronger, check=False)
-                led = self.problem.weights[:, None] * (run.outputs - engine.data.outputs)
-                if np.isfinite(led).all():  # a lead that lets the run blow up is none
-                    columns[i][:, :, k] = led - self.residuals()[i]
+                error = self.problem.weights[:, None] * (run.outputs - engine.data.outputs)
+                if np.isfinite(error).all():  # a lead that lets the run blow up is none
+                    columns[i][:, :, k] = error - self.residuals()[i]
         # zero where the samples cannot be compared
         judged = self.problem.judged(theta)
         return [weight[:, :, None] * block for weight, block in zip(judged, columns, strict=True)]

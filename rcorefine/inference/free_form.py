@@ -300,8 +300,8 @@ def fit_free_form(
 
         def rows(at: Array, prior: Array = prior, whitener: Whitener = whitener) -> Rows:
             try:
-                led = _with_curve(fitted, curve, at[:n], at[n:]), fitted.at(at[:n])
-                white, J, X = _linearize(*led, curve, whitener, ratio)
+                models = _with_curve(fitted, curve, at[:n], at[n:]), fitted.at(at[:n])
+                white, J, X = _linearize(*models, curve, whitener, ratio)
             except ModelError:  # its linear model runs away within one sample
                 return Rows(np.full(n + k, np.inf), np.zeros((n + k, n + k)))
             zeros = np.zeros((n, k))

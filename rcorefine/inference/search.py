@@ -334,8 +334,8 @@ def _first_pass(
     outcomes.append((problem.cost(point), point))
     # frequency response: logarithms of the points first
     if not problem.in_time:
-        led = problem.inside(by_logarithms(problem, point))
-        return [(cost, p) for cost, p in [*outcomes, (problem.cost(led), led)] if np.isfinite(cost)]
+        near = problem.inside(by_logarithms(problem, point))
+        return [(cost, p) for cost, p in [*outcomes, (problem.cost(near), near)] if np.isfinite(cost)]
     current = point
     # observers from high to low gain; each result is judged by its free run
     for ratio in _RATIOS:

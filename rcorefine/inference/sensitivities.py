@@ -262,8 +262,8 @@ def generic_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple
 
 
 def slow_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple[str, Array]]:
-    # slow functions of time: linear, quadratic, one period of sine and cosine
     """Forces of stiffness and damping that change over the record."""
+    # slow functions of time: linear, quadratic, one period of sine and cosine
     t = np.linspace(-1.0, 1.0, fitted.problem.records[record].n_samples)
     shapes = [t, t * t, np.sin(2 * np.pi * t), np.cos(2 * np.pi * t)]
     forces = []

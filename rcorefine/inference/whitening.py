@@ -243,8 +243,8 @@ def autoregression(
         for column in () if unsure is None else unsure.T:
             products += _products(column, most)
     else:
-        judged = sliding_window_view(whole, most + 1).all(axis=1)
-        rows, n = sliding_window_view(r, most + 1)[judged, ::-1], int(judged.sum())
+        complete = sliding_window_view(whole, most + 1).all(axis=1)
+        rows, n = sliding_window_view(r, most + 1)[complete, ::-1], int(complete.sum())
         products = rows.T @ rows
     power = float(products[0, 0])
     if most == 0 or not 0.0 < power < np.inf:

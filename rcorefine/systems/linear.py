@@ -209,8 +209,8 @@ def entry_of(linear: LinearModel, place: str) -> tuple[int, int]:
 
 
 def _index(labels: Sequence[str], text: str) -> int | None:
-    # a label comes before a number, since labels may be numbers
     """Which of the labels a text names, itself or by its number."""
+    # a label comes before a number, since labels may be numbers
     if text in labels:
         return labels.index(text)
     return int(text) if text.isdecimal() and int(text) < len(labels) else None
