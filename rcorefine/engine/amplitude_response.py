@@ -34,7 +34,8 @@ _HARMONICS = 15
 _MOST_HARMONICS = 1000
 # a sweep that approaches a frequency from afar: its start over the frequency, and its number of steps
 _AFAR, _APPROACH = 0.3, 30
-_STEP, _SMALL, _FINEST = 0.1, 0.05, 2e-5  # change of the answer in one step; of the largest; least step
+# continuation: relative change of the response per step, size of a small response, shortest step
+_STEP, _SMALL, _FINEST = 0.1, 0.05, 2e-5
 # simulation until the motion is steady: periods of the sine, samples per period
 _PERIODS, _PER_PERIOD = 200, 64
 
@@ -285,8 +286,8 @@ def _channel(source: int | str, labels: tuple[str, ...]) -> int:
 
 
 Complex = NDArray[np.complex128]
-_PHASES = 16  # of a period of a sine
-_BATCH = 4_000_000  # complex numbers at once (64 MB)
+_PHASES = 16  # samples of a period of a sine
+_BATCH = 4_000_000  # complex numbers in memory at once (64 MB)
 
 
 def engine_on(
@@ -329,7 +330,7 @@ class ResponseEngine:
         If an effect is nonlinear and the amplitude of the sines is not known, or the model itself is.
     """
 
-    lead: Array | None = None  #: no observer leads a response
+    lead: Array | None = None  #: a frequency response has no observer
 
     def __init__(self, structure: Structure, data: ResponseRecord, *, substeps: int = 1) -> None:
         self.structure, self.data, self.substeps = structure, data, substeps
@@ -467,14 +468,14 @@ class ResponseEngine:
         disc = s.discretize(theta, data.dt, derivatives=columns.size > 0)
         n, drive = s.n_states, nw + 1
         found: list[tuple[Array, ...]] = []
-        ends = disc.M[0, -n:], *disc.dM[0, :, -n:]  # of a substep whose forces are found amid it, too
+        ends = disc.M[0, -n:], *disc.dM[0, :, -n:]  # end of the substep, for either formula
         for M, O in zip(ends, (disc.O, *disc.dO), strict=True):
             # x(k+1) = Phi x(k) + first w(k) + second w(k+1), y = C x + D w
             Phi, first, second = M[:, :n], M[:, n : n + nw], M[:, n + drive : n + drive + nw]
             C, D = O[:, :n], O[:, n : n + nw]
             if data.hold == "zoh":
                 found.append((Phi, first + second, C, D))
-            elif not found:  # x(k) = xi(k) + second w(k) takes the input ahead out of the state equation
+            elif not found:  # foh: the new state x(k) - second w(k) removes w(k+1)
                 found.append((Phi, first + Phi @ second, C, D + C @ second))
                 whole = Phi, second, C
             else:  # derivatives of the line above, by the product rule
@@ -523,7 +524,7 @@ def _line_balance(structure: Structure, data: ResponseRecord) -> LineBalance:
     return LineBalance(structure, data)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # far off all numbers overflow, and who asks sees that
+@np.errstate(over="ignore", invalid="ignore")  # overflow far from the minimum is noticed by the callers
 def _transfer(sets: list[tuple[Array, ...]], points: NDArray[Any]) -> tuple[Complex, list[Complex]]:
     """Return C (z - A)^-1 B + D at every point, and its derivatives.
 

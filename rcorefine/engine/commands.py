@@ -25,7 +25,7 @@ from .march import MarchResult, MarchState, march_at
 if TYPE_CHECKING:
     from .structure import Structure
 
-_SETTLED = 1e200  # s that a command has stood at its first value
+_SETTLED = 1e200  # seconds for which a command had its first value before the record
 
 
 class Commands(NamedTuple):
@@ -265,7 +265,7 @@ def march_in_loop(at_march, model, drive, observer, course, into, loop):  # type
     )  # fmt: skip
     ahead, S_ahead = np.zeros(n), np.zeros((p, n))
     for k in range(samples):
-        # as the sample finds it: what reaches an output at once is not corrected by it
+        # before the correction: direct feedthrough must not depend on the correction of the same sample
         _reset(observer.reset, x, S, ahead, S_ahead)
         _at_sample(loop, past, k, ahead, S_ahead, False, Wout, dW1)
         here = slice(k, k + 1)
@@ -289,7 +289,7 @@ def march_in_loop(at_march, model, drive, observer, course, into, loop):  # type
         _over_sample(loop, past, k, x, S, acting, dW)
         found = march_at(
             at_march, model, Drive(acting, 2, Wout[k : k + 2], dW, dW2, driven), nobody,
-            MarchState(x, course.z[:ports], S), aside,  # the sensors do not read it yet
+            MarchState(x, course.z[:ports], S), aside,  # between samples no sensor is read
         )  # fmt: skip
         if found >= 0:
             return k + 1

@@ -134,8 +134,8 @@ def as_it_runs(model: PhysicalModel, record: Measurement) -> LinearModel:
     return loop
 
 
-_WINDOWS = 10  # of a record whose model integrates
-_GROWTH = 3.0  # log by which an unstable mode may grow over a free run: an error of its start as well
+_WINDOWS = 10  # windows of a record whose model integrates
+_GROWTH = 3.0  # log of the growth of an unstable mode, and of an error of the initial state, in a free run
 
 
 def checked_horizon(horizon: Any, known_start: bool = False) -> float | None:

@@ -22,18 +22,18 @@ from .kernels import law_over_period, memory_over_period
 from .structure import Structure
 
 Complex = NDArray[np.complex128]
-_LEAK = 1e-7  # of the frequency: an integrator leaks that much, so that its mean is defined
-_SAMPLES_PER_JUMP = 1.5  # a jumping force is spread over as many samples, so that its slope is seen
+_LEAK = 1e-7  # share of the frequency by which an integrator leaks, so that its mean is defined
+_SAMPLES_PER_JUMP = 1.5  # a jumping force is smoothed over them, so that its slope enters the Jacobian
 _TOLERANCE = 1e-8
 _RIDGE = 1e-12
 _UNSTABLE = 1.001
-# of all lines of a measured response
+# harmonics and samples for all lines of a measured response
 _HARMONICS, _HARMONICS_FOR_JUMPS = 5, 9
 _TIMES, _TIMES_FOR_JUMPS = 48, 256
-_FAR, _FAR_SHARE = 5.0, 0.1  # standard deviations and share of a point, beyond which another answer is sought
-_MOST_OFF = 0.3  # share of such lines, above which another answer would not help
-_STEP = 1e-6  # of a coefficient, for differences
-# of one sine at a time
+_FAR, _FAR_SHARE = 5.0, 0.1  # standard deviations, share of a point, above which another solution is tried
+_MOST_OFF = 0.3  # share of such lines above which the model is wrong, and not the chosen solution
+_STEP = 1e-6  # relative step of a coefficient for finite differences
+# samples for one sine at a time
 _TIMES_OF_ONE_FOR_JUMPS = 512
 # how a solution is approached: (spread of a jumping force, strength of all laws) from step to step
 _Plan = tuple[tuple[float, float], ...]
@@ -103,7 +103,7 @@ class Balance:
         # Fourier analysis: samples (..., T) to coefficients (..., 2 K + 1)
         self.analysis = self.basis.T * (2.0 / times)
         self.analysis[0] /= 2.0
-        self.spread, self.strength = 1.0, 1.0  # of a jumping force, and of all laws
+        self.spread, self.strength = 1.0, 1.0  # smoothing of a jumping force, strength of all laws
 
     # ------------------------------------------------------------------ linear part
     def maps(self, theta: Array) -> _Maps:
@@ -212,7 +212,7 @@ class Balance:
                     break
                 share[todo] *= 0.5
             better = np.ones(active.size, dtype=bool)
-            better[todo] = False  # who is stuck stays where it was
+            better[todo] = False  # a line without a decrease keeps its forces
             active, trial = active[better], trial[better]
             if not active.size:
                 break
@@ -527,7 +527,7 @@ class LineBalance(Balance):
         best, error = self.newton(theta, maps, best, np.arange(shape[0]))
         off = self._distance(theta, maps, best)
         if not fresh and np.mean(off > 1.0) > _MOST_OFF:
-            off[:] = 0.0  # the model is wrong, not the answer that was chosen
+            off[:] = 0.0  # the model is wrong, and not the chosen solution
         # another initial guess for lines that did not converge or lie far from the measured point
         for start in (self._from_measured(theta, maps), np.zeros(shape))[: 2 if fresh else 1]:
             again = np.flatnonzero((error > _TOLERANCE) | (off > 1.0))
@@ -579,7 +579,7 @@ def _periodic_with_memory(code: int, row: Array, d: Array, v: Array, w: Array) -
 
     After one period the inner state returns to its starting value.
     """
-    # after a turn the inner state is affine in its start: here is where it returns to itself
+    # the inner state after one period is affine in its initial value: solve for the fixed point
     _, _, end, slope, left = memory_over_period(code, d, v, w, row, 0.0, np.zeros(d.size))
     lost = 1.0 - left
     start, slope = (end / lost, slope / lost) if lost > 1e-12 else (0.0, np.zeros(d.size))

@@ -104,12 +104,12 @@ class InputSignal:
     ) -> None:
         self.inputs, self.dt, self.hold, self.substeps = inputs, dt, hold, substeps
         self.begin = begin
-        self.before = 0.0 if at_rest else 1.0  # over the first value
+        self.before = 0.0 if at_rest else 1.0  # input before the record over its first value
         n = inputs.shape[1]
         self._fine: Array | None = None
         if hold == "bandlimited":
             coarse = interpolate_band_limited(inputs, BAND_LIMITED_FACTOR)
-            # straight lines between the nodes lose (omega h)^2 / 12 of a sinusoid: it is given back
+            # linear interpolation between the nodes loses (omega h)^2 / 12 of a sine: correct for it
             coarse[:, 1:-1] -= np.diff(coarse, 2) / 12.0
             self._fine = straight_lines(coarse, substeps // BAND_LIMITED_FACTOR)
         elif hold == "foh":
@@ -191,7 +191,7 @@ class InputSignal:
             law = structure.effects[index].spec
             if law.delays or not isinstance(law, InputLaw):
                 continue
-            if held and law.moves_on and step == self.dt:  # from here on in halves of substeps
+            if held and law.moves_on and step == self.dt:  # from here on two values per substep
                 spread = np.repeat([1, 2 * self.substeps], [lead, value.size - lead])
                 value, slopes = np.repeat(value, spread), np.repeat(slopes, spread, axis=1)
                 step /= 2 * self.substeps
@@ -260,7 +260,7 @@ class InputSignal:
             integral += np.minimum(edges, 0.0) * self.before * signal[0]
             integral += np.maximum(edges - knots[-1], 0.0) * signal[-1]
             mean[:] = np.diff(integral) / width
-        levels = np.hstack([self.before * signals[:, :1], signals])  # before, then of each
+        levels = np.hstack([self.before * signals[:, :1], signals])  # before the record, then each sample
 
         def cell(when: Array) -> NDArray[np.int64]:
             return np.asarray(np.clip(np.floor(when / span + 1e-9), -1, size - 1) + 1, dtype=np.int64)
@@ -271,7 +271,7 @@ class InputSignal:
         by_drift = np.diff(at_edges * (self.begin + grid)) / width - means[0] / (1.0 + drift)
         if moving:
             means, by_delay, by_drift = _lines(means), _lines(by_delay), _lines(by_drift)
-            if size > n:  # it does not jump
+            if size > n:  # an actuator with a rate limit does not jump
                 held = np.hstack([means[:, ::parts], means[:, -1:]])
         return means, held, (by_delay, np.zeros(n)), (by_drift, np.zeros(n))
 

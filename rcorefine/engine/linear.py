@@ -21,9 +21,9 @@ from .inputs import Drive
 if TYPE_CHECKING:
     from .march import MarchResult
 
-_FEW = 12  # samples that are cheaper one by one
-_LARGE = 1e60  # entries of a power of the transition: beyond, one by one, so that the overflow has its sample
-_AT_ONCE = 60_000  # numbers that are carried together: more leave the cache of the processor
+_FEW = 12  # fewer samples are faster one by one
+_LARGE = 1e60  # entries of a power of the transition; beyond it one by one, to locate the overflow
+_AT_ONCE = 60_000  # numbers processed together, which fit in the cache of the processor
 
 
 class Substep(NamedTuple):
@@ -130,7 +130,7 @@ def recursion(F: Array, start: Array, pushes: Array) -> Array:
 
 def _times(M: Array, signals: Array) -> Array:
     """Return the product of a matrix and signals (n, ...), sample by sample."""
-    columns = math.prod(signals.shape[1:])  # of no states, too
+    columns = math.prod(signals.shape[1:])  # also for models without states
     return (M @ signals.reshape(len(signals), columns)).reshape(len(M), *signals.shape[1:])
 
 
@@ -161,7 +161,7 @@ def _filter(
     return before, after
 
 
-@np.errstate(all="ignore")  # what overflows is looked for
+@np.errstate(all="ignore")  # overflow is detected below
 def simulate_linear(
     at: Substep, drive: Drive, corrections: Corrections, x: Array, S: Array, into: MarchResult
 ) -> int:
@@ -282,7 +282,7 @@ def _by_each(maps: Array, signals: Array) -> Array:
     return np.moveaxis(found.reshape(*maps.shape[:2], *signals.shape[1:]), 0, -1)
 
 
-@np.errstate(all="ignore")  # what blows up is seen in the answer
+@np.errstate(all="ignore")  # divergence shows in the result
 def state_power(A: Array, B: Array, W: Array) -> Array:
     """Return the mean square of each state, from rest, with inputs (N, n_w)."""
     states = recursion(A, np.zeros((len(A), 1)), (B @ W.T)[:, :, None])[:, :, 0]

@@ -32,9 +32,9 @@ lanewise = partial(compiled, lanes=True)
 _LANES = 8  # derivatives at a time where compiled; in Python all of them
 _STRETCH = 2048  # events on a tape that stays in the cache
 _FORCES, _OUTPUTS, _RESET = -1, -2, -3  # events at a sample; others are steps, by their grade
-_OUTSIDE = 2e-5  # of `far`: within it what is left of an equation is rounding, as at rest
-_NO_FORCES = 1e-6  # of their squares: what is left of an equation that has no solution
-# flags: forces to be found again, none known yet, an output is far off, parameters of the field are free
+_OUTSIDE = 2e-5  # share of `far` within which the residual of an equation may be rounding, as at rest
+_NO_FORCES = 1e-6  # relative squared residual of an equation that has no solution
+# flags: forces are outdated, none known yet, an output is large, parameters of the field are free
 _STALE, _FIRST, _FAR, _NUMBERS = 0, 1, 2, 3
 
 
@@ -228,7 +228,7 @@ def _room_for(model, course, samples, substeps):
                 for l in range(n):
                     by = at.M[grade, (i // felt) * n + l, n + 2 * nw + forces + j]
                     Q[grade, i, j] += at.P[i % felt, l] * by
-    past = np.full((2, ny), np.nan)  # nothing is known of the outputs before
+    past = np.full((2, ny), np.nan)  # the outputs before the first sample are unknown
     for i in range(ny):
         past[1, i] = course.z[m + i] if course.z.shape[0] > m else 0.0
         if course.z.shape[0] > m + ny:
@@ -321,7 +321,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
     stages, forces, count = table.shape[0], f.shape[0], COUNT + nw - 1
     felt, nf, unknown, steps = P.shape[0], forces - m, stages * forces, at.M.shape[2]
     ns, wide = felt - 2 * m, table.shape[1] // max(nf, 1)
-    ends, ticks = n + 2 * nw + forces, 1 << 2 * (grades - 1)  # of a substep: its smallest pieces
+    ends, ticks = n + 2 * nw + forces, 1 << 2 * (grades - 1)  # ticks: smallest pieces of a substep
     keep = 1 if course.S.shape[0] > 0 else 0
     remembers, by_slopes = z.shape[0] > m, 2.0 if flags[_NUMBERS] else 1.0
     # forces are found anew at each sample only where a place feels the inputs
@@ -412,13 +412,13 @@ def _integrate(model, drive, observer, course, into, room, begin):
                     evaluate(
                         sensors.codes[i], y, 0.0, past[0, i], past[1, i], sensors.values, i, 1.0, w_law, shown
                     )
-                    if remembers:  # what is kept of this sample
+                    if remembers:  # memory of the sensor's law
                         past[0, i], past[1, i] = y, shown[i, 5]
                         z[m + i] = shown[i, 5]
                         if z.shape[0] > m + ny:
                             z[m + ny + i] = y
                     y, slope = shown[i, 0], shown[i, 1]
-                    shown[i, 2] = shown[i, 17] = 0.0  # whether a signal is held has no derivative
+                    shown[i, 2] = shown[i, 17] = 0.0  # no derivative by the flag for held signals
                     outputs[k, i] = y
                     if keep:
                         put(tape[t], places[8] + i * count, shown[i])
@@ -495,7 +495,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                                 level = max(level, abs(parts[r, 0]))
                             if nf > 0:
                                 put(own, 0, sense[here + 2 * m : here + felt])
-                                # slopes from before serve a Newton step, unless it takes long
+                                # Newton steps reuse the slopes of the field; every fourth renews them
                                 wanted = 1.0 if iteration % 4 == 3 else 0.0
                                 evaluate(field.code, 0.0, 0.0, 0.0, 0.0, numbers, stage, wanted, own, table)
                                 for i in range(nf):
@@ -532,7 +532,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                     # what is felt with the forces found
                     put(sense, 0, free)
                     add(sense, Qs, trial, grade * stages * felt, 0)
-                    if length > 1:  # where a friction force jumps inside: once more, the first quarter
+                    if length > 1:  # a friction force jumps inside: repeat with the first quarter
                         jumps = False
                         for i in range(m):
                             if ports.values[i, 5] != 0.0:
@@ -557,7 +557,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                         put(tape[t], here, xs[stage * n : (stage + 1) * n])
                         for j in range(nw):
                             tape[t, here + n + j] = step[n + j] + share * (step[n + nw + j] - step[n + j])
-                        if nf > 0:  # slopes there, and not those of the last Newton step
+                        if nf > 0:  # slopes at the solution, not those of the last Newton step
                             put(own, 0, sense[stage * felt + 2 * m : (stage + 1) * felt])
                             evaluate(field.code, 0.0, 0.0, 0.0, 0.0, numbers, stage, by_slopes, own, table)
                     # df = J^-1 (change of the laws at fixed forces), by the implicit function theorem
@@ -737,7 +737,7 @@ def _differentiate(model, drive, observer, into, room, lanes, block, events):
     high, last, ends = stages * n, (stages - 1) * n, n + 2 * nw + forces
     to_points, to_inverse, to_parts, to_slopes = places[1], places[2], places[3], places[4]
     to_numbers, to_ends, to_used, to_shown = places[5], places[6], places[7], places[8]
-    memory = False  # whether a law at a place remembers
+    memory = False  # has a force law an inner state?
     for i in range(m):
         memory = memory or ports.values[i, 6] != 0.0
     # rows of the lanes: state, forces, inner states, displacements, past outputs, what is kept of them ...
@@ -746,7 +746,7 @@ def _differentiate(model, drive, observer, into, room, lanes, block, events):
     D = Z + m
     before = D + m
     inner = before + ny
-    # ... and of a step: states and what is felt at its points, forces by that and found, outputs, inputs
+    # ... and of a step: states and sensed signals at its points, forces of the laws, solved forces, signals
     T = inner + ny
     V = T + stages * n
     G = V + stages * felt
@@ -937,5 +937,5 @@ def _example() -> tuple[Discretized, Drive, Corrections, MarchState, MarchResult
     )
 
 
-#: The march in a kernel, and the address that this takes: inside of that it would be compiled once more.
+#: `march` for other kernels by its address; a direct call would compile it again inside of them.
 march_at, address_of_march = by_address(march, _example)

@@ -88,13 +88,13 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
     # linear effects go into A and B; the other forces enter by E and sense by P
     into = _stack([_assemble(structure, *at) for at in zip(points, scales, strict=True)])
     E, P = _ports(structure, into.A.dtype, scales)
-    if field is not None:  # its rows are forces on states of the model, and then on outputs
+    if field is not None:  # rows of the field act on the states, then on the outputs
         own = np.eye(n, n0 + ny)[:, field.rows]
         E = np.concatenate([E, np.repeat(own[None], len(E), axis=0)], axis=2)
         E[:, n0:] = 0.0
     Ux, lag_drive = _input_lags(into)
 
-    # masses are divided by, lagged inputs are states
+    # divide by the masses; lagged inputs are states
     A, Bu, constant = into.A, into.Bu, into.constant
     if structure.has_mass:
         whole = np.concatenate([A, Bu, E, constant[:, :, None]], axis=2)
@@ -109,7 +109,7 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
     for state, drive in lag_drive:
         B[:, state] += drive
 
-    # sensors see states, their rates (accelerometers) and inputs; then come their own lags and laws
+    # outputs read states, rates of states (accelerometers) and inputs; lags and gains of the sensors follow
     Co, Cr, offset, Ca = _sensors(structure, into)
     C, D, G = Co + Cr @ Ux + Ca @ A, Cr @ into.Uw + Ca @ B, Ca @ E
     D[:, :, nw] += offset
@@ -132,18 +132,19 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
     D[:, :, nw] += into.output_offset
     # what the places feel, by [x; w; 1]
     sense = np.concatenate([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ into.Uw], axis=2)
-    for j in filter(structure.fills, range(structure.n_ports)):  # what fills a store
+    # laws that take the flow into a store in place of a displacement
+    for j in filter(structure.fills, range(structure.n_ports)):
         velocity = P[structure.n_ports + j, :n]
         sense[:, j] = velocity @ np.concatenate([A, B], axis=2) / -(E[:, :, j] @ velocity)[:, None]
     A, B, E = (into.pace[:, None, None] * part for part in (A, B, E))
     if model.operating_point is not None:
         _make_absolute(structure, points, into.output_gain, P, Matrices(A, B, E, C, D, G, sense))
-    if field is not None:  # it takes the states and what the inputs become
+    if field is not None:  # the field takes the states and the inputs after gains and lags
         states = np.repeat(np.eye(n0, n + nw + 1)[None], len(E), axis=0)
         taken = np.concatenate([states, np.concatenate([Ux, into.Uw], axis=2)], axis=1)
         sense = np.concatenate([sense, taken[:, field.signals]], axis=1)
     controller = model.controller
-    if controller is not None:  # what it adds to the inputs is held in its last states
+    if controller is not None:  # the commands of the controller are its last states
         held = slice(structure.loop.stop - len(controller.driven), structure.loop.stop)
         driven = np.array(controller.driven)
         A[:, :, held] += B[:, :, driven]
@@ -214,7 +215,8 @@ def _assemble(structure: Structure, theta: NDArray[Any], scales: dict[str, Any])
         effect.spec.absorb(into, site, *values)
         into.felt.append(np.outer(site.output, into.force(site.act) - before))
     point = structure.model.operating_point
-    if point is not None and point.field is not None:  # a nonlinear model is absolute, and so are they
+    # a nonlinear model is written in absolute values: changes of A and B act on the point, too
+    if point is not None and point.field is not None:
         n0 = base.n_states
         into.constant[:n0] += (into.A[:n0, :n0] - base.A) @ point.states + (
             into.Bu[:n0] - base.B

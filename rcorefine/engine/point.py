@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from .engine import Trajectory
     from .structure import Structure
 
-_ROUNDING = 1e-9  # of the largest value at the point
-_STEP = 1e-4  # of a coefficient, for the derivative of a tangent by it
+_ROUNDING = 1e-9  # share of the largest value at the point
+_STEP = 1e-4  # relative step of a coefficient for finite differences of a tangent
 
 
 def resting(structure: Structure, place: str) -> tuple[float, float] | None:

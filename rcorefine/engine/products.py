@@ -32,7 +32,7 @@ if NUMBA:
                 total += M[row + i, at + j] * z[j]
             out[i] += total
 
-    # Eight lanes are written out: so they stay in registers.
+    # eight lanes are written out, so that they stay in registers
     @inlined
     def add_product(L, to, rows, M, at, stride, frm, count):
         """Rows of L from `to` on += M times its rows from `frm` on.

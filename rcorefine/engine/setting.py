@@ -47,13 +47,13 @@ class Setting:
         """
         M, O = self.model.at.M[0], self.model.at.O
         n = len(M)
-        with np.errstate(all="ignore"):  # what grows beyond all numbers is noticed by who asks
+        with np.errstate(all="ignore"):  # overflow is detected by the callers
             # transition with correction: x(k+1) = Phi (x - K C x)
             ahead = np.linalg.matrix_power(M[:, :n], substeps)
             ahead = ahead - (ahead @ gain) @ O[:, :n]
             found = np.empty((samples, len(O), n))
             found[0], count = O[:, :n], 1
-            while count < samples:  # twice as many with every product
+            while count < samples:  # each product doubles the number of samples
                 more = min(count, samples - count)
                 found[count : count + more] = found[:more] @ ahead
                 ahead, count = ahead @ ahead, count + more
@@ -126,7 +126,7 @@ def _amid_and_end(
     return np.concatenate(parts, axis=1)[None]
 
 
-TINY_STEP = 1e-30  #: of the imaginary parts by which derivatives are taken
+TINY_STEP = 1e-30  #: imaginary part of complex steps
 
 
 def discretized(
@@ -153,9 +153,9 @@ def discretized(
     blocks[:, :, :n, :n] = states * at.A / states.T * steps
     blocks[:, :, :n, n : n + drive] = pushes / columns * steps
     blocks[:, :, n : n + drive, n + drive : n + 2 * drive] = np.eye(drive)
-    if parabolas:  # forces have a second derivative
+    if parabolas:  # parabolas: forces have a second derivative
         blocks[:, :, n + drive + nw : n + 2 * drive, n + 2 * drive :] = np.eye(structure.n_forces)
-    with np.errstate(over="ignore", invalid="ignore"):  # the engine says so where a model blows up
+    with np.errstate(over="ignore", invalid="ignore"):  # the engine reports divergence
         found = exponential(blocks.reshape(-1, size, size))
         exponentials = found.reshape(blocks.shape)[:, :, :n] / states
         Phi = exponentials[..., :n] * states.T

@@ -26,7 +26,7 @@ from .inputs import interpolate_band_limited, straight_lines
 from .observer import leading_gain
 from .structure import Structure
 
-_STILL, _MOST_STEPS = 1e-3, 64  # a run that doubled substeps move by less of its size has enough of them
+_STILL, _MOST_STEPS = 1e-3, 64  # relative change by doubled substeps below which they suffice; most substeps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +164,7 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
     return Simulation(outputs[:, at], states[own][:, at], run.forces[:, at], (start + levels[1])[own])
 
 
-_FINER = 8  # parts of a sample in which a command that passes effects may change
+_FINER = 8  # parts of a sample in which a command behind effects may change
 
 
 def _finer(structure: Structure) -> tuple[int, int]:
@@ -247,7 +247,7 @@ def unjudged_samples(model: Any, data: Measurement) -> int:
     A model with a delay and a free initial state is undetermined there.
     """
     if not hasattr(model, "simulation_structure") and not held_effects(known_physical(model)):
-        return 0  # a delay is an effect: linear models hold none
+        return 0  # linear models have no delay, which is an effect
     structure, theta, _ = structure_of(model)
     return int(Engine(structure, data).judged(theta).argmax(axis=1).max(initial=0))
 

@@ -29,7 +29,7 @@ from .matrices import Matrices, continuous_matrices, site_of
 from .point import about_point
 from .setting import discretized
 
-_KEPT = 8  # of what hangs on the coefficients: with and without derivatives
+_KEPT = 8  # results per structure that depend on the coefficients
 _Made = TypeVar("_Made")
 
 
@@ -106,7 +106,7 @@ class Structure:
         self._input_statics: list[int] = []
         self._output_statics: list[int] = []
         self._delayed_outputs: list[int] = []
-        self._numbers: list[int] = []  # of a nonlinear model
+        self._numbers: list[int] = []  # parameters of a nonlinear model
         for index, effect in enumerate(self.effects):
             self._register(index, effect)
         # states of a controller stand between those of the model and those of effects
@@ -247,7 +247,7 @@ class Structure:
         """Columns of theta that enter the matrices."""
         skip = set(self._port_effects) | set(self._input_statics)
         skip |= set(self._output_statics) | set(self._delayed_outputs)
-        if self.balanced:  # what they give at the operating point does
+        if self.balanced:  # at an operating point the tangents of port effects enter them
             skip -= set(self._port_effects)
         return np.array([i for i, q in enumerate(self.parameters) if q.effect not in skip], dtype=np.int64)
 

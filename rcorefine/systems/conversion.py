@@ -18,10 +18,10 @@ from .linear import Array, LinearModel, balance
 SAME_DT = 1e-6
 # Angle of a discrete pole, as a fraction of pi, beyond which aliasing is suspected.
 DOUBTFUL_ANGLE = 0.9
-# Relative error of a matrix logarithm that is worth a word.
+# Relative error of a matrix logarithm above which a warning is given.
 LOG_TOLERANCE = 1e-8
 _EPS = float(np.finfo(float).eps)
-_FAST = 0.02  # pole in place of one without a real logarithm: gone within two samples, and still invertible
+_FAST = 0.02  # substitute for a pole without a real logarithm: decays within two samples, can be inverted
 _REAL = 1e-5  # imaginary part over size below which a pole counts as real: multiple ones split by rounding
 _ZERO = 1e-4  # size below which a pole counts as zero
 
@@ -341,7 +341,7 @@ def _move_bad_poles(model: LinearModel) -> tuple[LinearModel, Array]:
         size = abs(complex(real, imaginary))
         return size < _ZERO or (real <= 0 and abs(imaginary) <= _REAL * size)
 
-    units = balance(model.A)  # those of the user may be far apart
+    units = balance(model.A)  # units of the user may differ by orders of magnitude
     # ordered Schur form: the bad poles first
     triangle, basis, count = linalg.schur(model.A * units / units[:, None], output="real", sort=bad)
     if count == 0:
@@ -414,12 +414,12 @@ def stabilized(model: LinearModel, limit: float) -> LinearModel:
     def wild(real: float, imaginary: float) -> bool:
         return (real if continuous else abs(complex(real, imaginary))) > bound
 
-    units = balance(model.A)  # those of the user may be far apart
+    units = balance(model.A)  # units of the user may differ by orders of magnitude
     A = model.A * units / units[:, None]
     try:
         # ordered Schur form: the fast-growing modes first
         triangle, basis, count = linalg.schur(A, output="real", sort=wild)
-    except linalg.LinAlgError:  # modes that rounding moves across the bound: all are slowed down
+    except linalg.LinAlgError:  # rounding moves modes across the bound: slow all of them down
         triangle, basis, count = A.copy(), np.eye(len(A)), len(A)
     # shift the poles in continuous time, scale them in discrete time
     block = triangle[:count, :count]

@@ -74,7 +74,7 @@ def discretize(A: ArrayLike, B: ArrayLike, dt: float, hold: str = "zoh") -> tupl
     n, n_w = b.shape
     if n == 0:
         return np.zeros((0, 0)), np.zeros((0, n_w)), np.zeros((0, n_w))
-    # Units far apart (a current beside a charge) cost digits; powers of two are free.
+    # Units that differ much (current and charge) cost digits; scaling by powers of two is exact.
     a, scale = balanced(a)
     b = b / scale[:, None]
     columns = power_of_two(np.max(np.abs(b), axis=0, initial=0.0))
@@ -181,7 +181,7 @@ def exponential(matrices: NDArray[Any]) -> NDArray[Any]:
     if not np.isfinite(norm):
         return np.full_like(matrices, np.nan)
     scale = None
-    if norm > _UNBALANCED:  # many squarings lose digits where units differ, as in a companion matrix
+    if norm > _UNBALANCED:  # many squarings lose digits in badly scaled matrices such as companion forms
         size = np.abs(matrices).max(axis=0)
         scale = balance(size)
         matrices = matrices * scale / scale[:, None]
