@@ -15,8 +15,8 @@ from ..systems.linear import Array
 from .formula import PortLaw
 from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, positive, register
 
-_SMALL = 0.03  # of the force that moves the port, to start from
-_PACES = (1.0, 4.0, 0.25)  # time constants, over that of the motion
+_SMALL = 0.03  # initial force over the force that moves the port
+_PACES = (1.0, 4.0, 0.25)  # initial time constants over that of the motion
 
 
 @register
@@ -141,7 +141,7 @@ class Gravity(PortLaw):
 
     coefficients = (Coefficient("torque", "force", explanation="m g l: torque of the weight, held level"),)
     constants = MappingProxyType({"tangent": 1.0})
-    from_zero = frozenset(["tangent"])  # a model that is linear about the lowest point has the slope already
+    from_zero = frozenset(["tangent"])  # a model linearized about the lowest point contains the slope
     formula = "f = t (sin(d) - (1 - tangent) d), d the angle from where it hangs in rad"
     explanation = "The weight at {place} pulls back by the sine of the angle, as at a pendulum (m g l sin)."
     belongs_to = "stiffness"
@@ -166,7 +166,7 @@ class Cogging(PortLaw):
     formula = "f = a sin(2 pi d/P) + b (cos(2 pi d/P) - 1)"
     explanation = "The force at {place} repeats with the position: cogging of a motor, ripple of gears."
     belongs_to = "stiffness"
-    on_request = True  # its period is many valleys where the drawing does not tell it
+    on_request = True  # the cost has many local minima over the period: it must be known
 
     @staticmethod
     def law(d, sine, cosine, period):  # type: ignore[no-untyped-def]
@@ -195,7 +195,7 @@ class MagneticForce(PortLaw):
     formula = "f = -k i^2/(gap - d)^2, i the input numbered `current` from 1"
     explanation = "A magnet pulls at {place}, by the square of its current over the square of its distance."
     belongs_to = "stiffness"
-    on_request = True  # which input is the current, and how far the magnet is, nobody can guess
+    on_request = True  # the input that is the current, and the distance of the magnet, must be known
 
     @staticmethod
     def law(d, w, strength, gap, current):  # type: ignore[no-untyped-def]

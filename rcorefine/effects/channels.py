@@ -219,7 +219,7 @@ class InputRange(InputLaw):
     formula = "w -> min(max(w, low), high)"
     explanation = "The input {place} has two limits: nothing below one and nothing above the other acts."
     secant = True
-    on_request = True  # a limit of either direction, or an offset before it, says as much of most records
+    on_request = True  # most records do not distinguish it from saturation with an offset
     contains = MappingProxyType({"input_saturation": {}})
 
     @staticmethod
@@ -339,7 +339,7 @@ class InputRateLimit(InputLaw):
         return found or [{"rate": 1.0}]
 
 
-_SMALL = 1e-4  # of a phase, and of a window in samples: below it, series
+_SMALL = 1e-4  # phase in radians, and window in samples, below which power series are used
 
 
 # laws at outputs

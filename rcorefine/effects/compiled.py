@@ -29,10 +29,10 @@ MAX_COEFFICIENTS: Final = 4
 COUNT: Final = 18  # numbers that a law writes, before the derivatives by the inputs
 # where a law writes the derivatives of its force and of its inner state by what it takes
 _SLOTS: Final = {"d": (1, 6), "v": (2, 17), "d_start": (3, 7), "z_start": (4, 8)}
-_FOREVER: Final = 1e200  # s: a signal that has stood at its first value
+_FOREVER: Final = 1e200  # seconds for which a signal had its first value before the record
 
 _PLAIN: dict[int, Callable[..., None]] = {}  # laws by code, where nothing is compiled
-_PENDING: list[BaseException] = []  # raised by laws that numba cannot compile, inside a kernel
+_PENDING: list[BaseException] = []  # exceptions of laws that are called in Python from a kernel
 
 if NUMBA:
 
@@ -95,8 +95,8 @@ def address(of: FormulaLaw, read: bytes, *, cache: bool) -> tuple[tuple[int, Any
     """
     law, slopes = of.law, of.slopes
     # traced formula: exact derivatives
-    if slopes is None and read:  # otherwise its constants may change without notice
-        with suppress(Exception):  # symbols go through a user's code: what that raises is not foreseeable
+    if slopes is None and read:  # the values that it reads are known
+        with suppress(Exception):  # the user's code may raise anything when it gets symbols
             return _exact(of, cache), False
     # otherwise the law's own slopes, or central differences
     source = _by_differences(of) if slopes is None else _by_slopes(of)

@@ -12,7 +12,7 @@ import numpy as np
 from .formula import PortLaw
 from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, nominal_is_left, positive, register
 
-ROOT_WIDTH = 1e-3  # of the rms level: a root has no slope at zero
+ROOT_WIDTH = 1e-3  # smoothing width of a root over the rms level, since a root has no slope at zero
 
 
 # flows out of a store
@@ -139,7 +139,7 @@ class Radiation(PortLaw):
     from_zero = frozenset(["temperature"])  # of a state that is an absolute temperature itself
     formula = "f = t ((T0 + x)^4 - T0^4), T0 the absolute `temperature` where x = 0"
     explanation = "Heat is radiated at {place}, by the fourth power of the absolute temperature."
-    on_request = True  # only who knows that the state is a temperature can say so
+    on_request = True  # the state must be known to be a temperature
 
     @staticmethod
     def law(v, radiation, temperature):  # type: ignore[no-untyped-def]

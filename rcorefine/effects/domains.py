@@ -95,7 +95,7 @@ _OF_STATE = {
     "degC": "thermal",
     "°C": "thermal",
     "m": "hydraulic",
-    "m/s": "mechanical",  # a speed whose position is no state
+    "m/s": "mechanical",  # speed without a position among the states
     "km/h": "mechanical",
 }
 

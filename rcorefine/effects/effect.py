@@ -330,7 +330,7 @@ class Effect:
 
     def __reduce__(self) -> tuple[Any, ...]:
         own = type(self.spec)
-        # a class brings itself along, where the other side may not know it yet
+        # pickle the class of the law, which the other process may not have registered
         law = self.law if self.law is not None or own.__module__.startswith(__package__) else own
         given = {name: getattr(self, name) for name in ARGUMENTS} | {"law": law}
         return (_restore, (given, self._domain))
@@ -482,7 +482,7 @@ def module_of(name: str) -> str:
     return name
 
 
-_SHARP = 1e-300  # width of a jump that is none
+_SHARP = 1e-300  # width of a jump that is practically zero
 
 
 def unit_forces(
@@ -520,7 +520,8 @@ def unit_forces(
         steps = 1e-5 * sizes * (not effect.spec.inner_states)
         near = np.array(rest)[:, None] + steps[:, None] * [[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]]
         per, moved = 0.5 * steps / np.maximum(steps, 1e-150) ** 2, np.hstack([near, [d, v]])
-        whole = unit_forces(effect, moved[0], moved[1], shapes)  # none feels inputs at a point
+        # at an operating point no law takes the inputs
+        whole = unit_forces(effect, moved[0], moved[1], shapes)
         above = moved[:, 5:] - near[:, :1]
         return whole and [f[5:] - f[0] - (f[[1, 3]] - f[[2, 4]]) * per @ above for f in whole]
     law, simple = effect.spec, {"displacement": d, "velocity": v, "constant": np.ones(v.size)}

@@ -23,11 +23,11 @@ import numpy as np
 OF_NUMPY = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh"}
 OF_NUMPY |= {"atan2": "arctan2", "pow": "power"}
 _LIBRARIES = sys.stdlib_module_names | {"numpy", "scipy", "numba"}
-_QUIET = SimpleNamespace(  # math without errors
+_QUIET = SimpleNamespace(  # functions of math that return inf and NaN
     **{name: getattr(np, OF_NUMPY.get(name, name), None) for name in dir(math) if not name.startswith("_")}
 )
-_MOST_BRANCHES = 6  # comparisons on one way through a function
-_MOST = 20_000  # operations: beyond, straight-line code takes longer to compile than it saves
+_MOST_BRANCHES = 6  # most comparisons on one path through a function
+_MOST = 20_000  # most operations; longer code takes more time to compile than it saves
 
 
 class Untraceable(TypeError):
@@ -296,7 +296,7 @@ class Tape:
                 return self.take("+", self.take("*", da, b), self.take("*", a, db))
             case "/":
                 # d(a / b) = (da - (a / b) db) / b
-                over = self.take("/", 1.0, b)  # once for all slopes: a division takes long
+                over = self.take("/", 1.0, b)  # one division for all slopes
                 return self.take("*", self.take("-", da, self.take("*", here, db)), over)
             case "atan2":
                 crossed = self.take("-", self.take("*", da, b), self.take("*", a, db))
@@ -442,8 +442,8 @@ def _simplify(name: str, given: tuple[Number, ...]) -> Number | None:
             return b if is_number(a, 1.0) else a if is_number(b, 1.0) else None
         case "/":
             return 0.0 if is_number(a, 0.0) else a if is_number(b, 1.0) else None
-        # small whole powers as products
-        case "**" if any(is_number(b, whole) for whole in range(5)):  # quicker than a power, and at any sign
+        # small whole powers as products: faster than a power, and valid for negative bases
+        case "**" if any(is_number(b, whole) for whole in range(5)):
             return reduce(operator.mul, [a] * int(b), 1.0)
     return None
 
@@ -541,7 +541,7 @@ class _Replacing:
         # same code, with globals and closures that are replaced
         made = FunctionType(function.__code__, scope, function.__name__, function.__defaults__, cells)
         made.__kwdefaults__ = function.__kwdefaults__
-        self._made[id(function)] = made  # before what it names, which may be itself
+        self._made[id(function)] = made  # before its globals, since it may call itself
         for cell, before in zip(cells, function.__closure__ or (), strict=True):
             cell.cell_contents = self.of(before.cell_contents)
         for name, value in function.__globals__.items():
@@ -595,7 +595,8 @@ def read_by(*functions: Any) -> bytes:
         elif isinstance(value, CodeType):
             found.append(value.co_code)
             waiting += [(one, names) for one in (value.co_names, *value.co_consts)]
-        elif callable(value):  # of numpy or numba; an object may do what its values do not tell
+        # callables of numpy or numba by name; the values of another callable object are not enough
+        elif callable(value):
             if not hasattr(value, "__name__"):
                 return b""
             found.append(value.__name__.encode())
@@ -603,7 +604,7 @@ def read_by(*functions: Any) -> bytes:
             # values by their pickled bytes
             try:
                 found.append(pickle.dumps(value))
-            except Exception:  # what a user's object raises is not foreseeable
+            except Exception:  # a user's object may raise anything
                 return b""
     return b"".join(found)
 

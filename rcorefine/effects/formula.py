@@ -18,7 +18,7 @@ from .compiled import MAX_COEFFICIENTS, address, raise_pending, through
 from .expressions import read_by
 from .law import Law
 
-FADED = 1e-3  # of what was before a record: as good as forgotten
+FADED = 1e-3  # share of the state before a record that may be neglected
 
 
 class FormulaLaw(Law):
@@ -157,8 +157,8 @@ class FormulaLaw(Law):
         # the law is compiled anew when constants that it reads have changed
         read = b"" if b"" in made else read_by(law, slopes)
         if read not in made:
-            found, live = address(self, read, cache=not made)  # a sweep leaves no file for each value
-            if not live and read_by(law, slopes) != read:  # the law itself changes what it reads
+            found, live = address(self, read, cache=not made)  # later versions are not cached on disk
+            if not live and read_by(law, slopes) != read:  # the law changes the values that it reads
                 found, live = address(self, b"", cache=False)[0], True
             read = b"" if live else read
             made[read] = found

@@ -11,9 +11,9 @@ import numpy as np
 from .formula import PortLaw
 from .law import Coefficient, Seen, positive, register
 
-# the width over which sgn(v) is smoothed is fixed, because a free one only fits noise
-SIGN_WIDTH = 0.005  # of the rms velocity
-SEEN_TO_FADE = (3.0, 1e5)  # widths of sgn(v): from where that has turned over to far beyond the motion
+# the smoothing width of sgn(v) is fixed, because a free one would only fit noise
+SIGN_WIDTH = 0.005  # width over the rms velocity
+SEEN_TO_FADE = (3.0, 1e5)  # bounds of a fading velocity in widths of sgn(v)
 
 
 # friction without memory: force by velocity alone
@@ -57,7 +57,7 @@ class SmoothFriction(PortLaw):
             "velocity",
             "velocity",
             "speed at which it has reached three quarters of that",
-            widths=(20.0, 1000.0),  # below it is a jump, above a damper
+            widths=(20.0, 1000.0),  # below the bounds it is a jump, above them a damper
             shapes=True,
         ),
     )
@@ -192,7 +192,7 @@ class LoadFriction(PortLaw):
         "Dry friction at {place} grows with the load that its deflection brings: leaf springs, wedges, gears."
     )
     belongs_to = "stiffness"
-    on_request = True  # who knows that the load is this deflection can say so
+    on_request = True  # the load must be known to come from this deflection
     jumps = True
     turns = True
     width_share = SIGN_WIDTH
@@ -334,7 +334,7 @@ class Play(PortLaw):
     belongs_to = "stiffness"
     inner_states = 1
     contains = MappingProxyType({"stiffness": {"gap": 0.0}})
-    on_request = True  # beside a spring it is slip behind a spring: hysteresis says that already
+    on_request = True  # in parallel to a spring it is hysteresis
 
     @staticmethod
     def law(d, z_start, stiffness, gap):  # type: ignore[no-untyped-def]

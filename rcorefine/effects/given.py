@@ -22,7 +22,8 @@ from ..systems.linear import Array
 from .formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
 from .law import Coefficient, register
 
-_POINTS = ((0.01, 0.02), (-0.3, 0.5), (0.7, -1.1), (0.0, 0.0))  # where a law is tried before it is compiled
+# test points (d, v) for a law before it is compiled
+_POINTS = ((0.01, 0.02), (-0.3, 0.5), (0.7, -1.1), (0.0, 0.0))
 
 
 @register
@@ -81,7 +82,7 @@ def custom_law(function: Callable[..., Any], names: tuple[str, ...]) -> Custom:
         If it takes something else.
     """
     # law with the arguments of this function
-    for name in names:  # they stand in the code that is compiled
+    for name in names:  # the names become part of the compiled code
         if not name.isidentifier() or iskeyword(name):
             raise ct.ControlArgument(f"a coefficient has a Python name such as 'scale', not {name!r:.80}")
     law: Any = Custom()
@@ -157,7 +158,7 @@ def _arguments(
     keyword |= set(names) if anything else set()
     skipped = [p.name for p in others if p.name not in taken]
     # arguments after one that keeps its default go by name
-    if skipped:  # a default that is kept stands before names that follow it
+    if skipped:  # an argument that keeps its default may come before them
         keyword |= set(taken)
     return (*first, *taken), frozenset(keyword)
 
@@ -291,7 +292,7 @@ def _cell(table, first, n, x):  # type: ignore[no-untyped-def]
 @compiled_law
 def _looked_up(d, v, where):  # type: ignore[no-untyped-def]
     """Force of the table at an address, and its slopes."""
-    if not where > 0.0:  # no table lies nowhere
+    if not where > 0.0:  # address zero: no table
         return 0.0, 0.0, 0.0
     # layout: n, m, knots of d, knots of v, forces row by row
     table = int(where)

@@ -371,7 +371,7 @@ class Law:
         return None
 
     def __reduce__(self) -> tuple[object, tuple[Any, ...]]:
-        # in the catalogue a name says it all
+        # laws of the catalogue are pickled by name
         return (_law, (self.name,)) if _LAWS.get(self.name) is self else (instance_of, (type(self),))
 
 

@@ -20,8 +20,8 @@ from .compiled import code_of
 from .expressions import Number, Symbolic, Tape, Untraceable, as_numbers, in_python, is_number, tracing
 from .law import Coefficient, Law, nominal_is_left, register
 
-_AFFINE = 1e-12  # of a slope: within it the linear part has it
-_LONGEST = 1000  # lines: beyond, they take longer to compile than they save
+_AFFINE = 1e-12  # relative difference below which a slope equals that of the linear part
+_LONGEST = 1000  # most lines; longer code takes more time to compile than it saves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +101,7 @@ def straight_line(of: Remainder, plain: Callable[[Array, Array], Array]) -> Stra
     """
     try:
         found = _trace(of)
-    except Exception:  # symbols go through a user's code: what that raises is not foreseeable
+    except Exception:  # the user's code may raise anything when it gets symbols
         return None
     return found if _agrees(found, of, plain) else None
 
@@ -126,7 +126,7 @@ def _trace(of: Remainder) -> StraightLine:
     kept = np.flatnonzero(bent.any(axis=1) | moved | (rest != 0.0))
     active = np.flatnonzero(bent.any(axis=0))
 
-    # what the other signals do is in the linear part, whole
+    # the other signals act through the linear part alone
     tape = Tape()
     z, p = [tape.symbol(f"z{j}") for j in range(active.size)], [tape.symbol(f"p{c}") for c in range(q)]
     above: list[Number] = [0.0] * signals
@@ -163,7 +163,7 @@ def _source(
     done: set[int] = set()
     lines = [*names, *tape.code([value for _, value in values], done)]
     lines += [f"out[{at}] = {tape.name(value)}" for at, value in values]
-    # entries that are zero everywhere stay as they were made
+    # the table is zero before: leave out entries that are always zero
     slopes, by_numbers = (
         [(at, slope) for at, slope in some if not is_number(slope, 0.0)] for some in (slopes, by_numbers)
     )
@@ -196,7 +196,7 @@ def _agrees(found: StraightLine, of: Remainder, plain: Callable[[Array, Array], 
         both = np.isfinite(here) & np.isfinite(there)
         apart.append(np.where(both, np.abs(here - there), 0.0))
         sizes.append(np.where(both, np.abs(of.linear) @ np.abs(z) + np.abs(there), 0.0))
-    # a row that all but vanishes at one point is measured by what it is at the others
+    # a row that nearly vanishes at one point is compared with its size at the others
     return bool(np.all(np.array(apart) <= 1e-9 * np.array(sizes) + 1e-12 * np.max(sizes, axis=0)))
 
 
@@ -219,7 +219,7 @@ def exact_slopes(functions: RightHandSide, level: Array, nominal: Array) -> Arra
         return None
 
 
-_AHEAD = 2  # columns of the table before the derivatives: the value, and the size of what it came from
+_AHEAD = 2  # columns before the derivatives: value, and size of its terms
 _Function = Callable[..., Any]
 
 
@@ -306,7 +306,8 @@ class RightHandSide:
         held = "".join(f"{name!r}: held_{i}, " for i, name in enumerate(self.others))
         lines = [
             "def whole(x, u, p, row):",
-            f"    params = {{'': True, {entries}{held}}}",  # of several types: its keys are known to numba
+            # entries of several types make numba treat the keys as constants
+            f"    params = {{'': True, {entries}{held}}}",
             "    rates = update(0.0, x, u, params)",
             *(f"    row[{i}] = rates[{i}]" for i in range(self.n_states)),
         ]
@@ -411,7 +412,7 @@ class Field:
             there = np.zeros((self.n_rows, self.n_columns))
             try:
                 fast(self.nominal, z, 2.0, there)
-            except Exception as error:  # numba's own errors have no common base
+            except Exception as error:  # errors of numba have no common base class
                 raise TypeError(str(error)) from error
             here = self._values(z, self.nominal)
             if not np.allclose(here, there[:, 0], rtol=1e-9, atol=1e-12, equal_nan=True):
@@ -472,7 +473,7 @@ def _tolerant(functions: RightHandSide) -> _Function:
             row[:] = functions(x, u, p)
         except ArithmeticError:
             row[:] = np.nan
-        except ValueError as error:  # of math.sqrt and math.log
+        except ValueError as error:  # domain errors of math.sqrt and math.log
             if "math domain" not in str(error) and "expected a" not in str(error):
                 raise
             row[:] = np.nan

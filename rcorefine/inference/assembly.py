@@ -30,7 +30,7 @@ from ..models.physical_model import PhysicalModel
 from ..systems.linear import LinearModel
 from .refinement import Refinement
 
-_OFF = {"inputs": 1.0, "outputs": 10.0}  # sd of an offset over the rms of the signal: sensors are off by more
+_OFF = {"inputs": 1.0, "outputs": 10.0}  # prior standard deviation of an offset over the rms of the signal
 
 
 def unfold(model: Any) -> tuple[PhysicalModel, list[tuple[Effect, str]]]:
@@ -114,7 +114,7 @@ def _covers(chosen: Effect, linear: Effect) -> bool:
 
 def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> list[Effect]:
     numbers = independent_parameters(physical)
-    # a mass does not float where an input gain does, they rescale each other
+    # a free mass and a free input gain would rescale each other: only the gain is free
     gains = any(KINDS[q.kind].relative for q in physical.parameters)
     everything = [Effect(q.kind, q.place) for q in numbers if not (gains and KINDS[q.kind].inertial)]
     if isinstance(free, str):
@@ -148,7 +148,7 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
         return [[]]
     linear, controller = physical.linear, physical.controller
     if controller is not None and not controller.recorded and integrates(controller.linear, record):
-        return [[]]  # what its integrator holds at the start is an offset
+        return [[]]  # the initial state of its integrator acts as an offset
     # candidates: an offset at each input and output
     at_inputs = [Effect(InputOffset.name, label) for label in linear.input_labels]
     at_outputs = [Effect(OutputOffset.name, label) for label in linear.output_labels]
@@ -215,7 +215,7 @@ _PREDICTED = (
     "by predictions one sample ahead, with process noise (horizon= gives short simulations)."
 )
 
-_MOST_LINES, _FEWEST_LINES = 200, 40  # frequencies that nonlinear effects are sought at, in all and of each
+_MOST_LINES, _FEWEST_LINES = 200, 40  # frequencies for nonlinear effects: all responses, each one
 
 
 def check_validation(model: Any, record: Any) -> None:

@@ -17,9 +17,9 @@ from scipy.signal import lfilter
 from ..systems.linear import Array
 from .whitening import RESOLUTION, autoregression, innovations, stable_model
 
-_UNSEEN = 1e-7  # singular value of the unit-column Jacobian below which a direction is not seen
-_AWAY = 2.0  # times the power of a residual, to which only an error of the model moves it
-_ROUNDS, _ALIKE = 30, 0.03  # of a noise model, and its change, in its standard errors, that ends them
+_UNSEEN = 1e-7  # singular value of the Jacobian with unit columns below which a direction is not determined
+_AWAY = 2.0  # increase of the power of a residual that only an error of the model explains
+_ROUNDS, _ALIKE = 30, 0.03  # most iterations of a noise model; change in standard errors that ends them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +78,7 @@ def pseudo_inverse(normal: Array, size: Array | None = None) -> tuple[Array, Arr
     # inverse on the span that the data see, in the original units
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(size, size)
     lost = vectors[:, ~seen].T
-    lost = np.where(np.abs(lost) > 1e-3, lost, 0.0)  # no rounding beside what is truly lost
+    lost = np.where(np.abs(lost) > 1e-3, lost, 0.0)  # rounding errors become zero
     return inverse, lost / size, float(np.sqrt(top / max(values.min(initial=top), 1e-300)))
 
 
@@ -112,7 +112,7 @@ def _directions(normal: Array, size: Array | None = None) -> tuple[Array, Array,
     """
     # columns of unit norm, so that units do not matter
     size = np.sqrt(np.diag(normal)) if size is None else size
-    size = np.where(size <= 1e-100 * size.max(initial=0.0), 1.0, size)  # not felt: its squares would overflow
+    size = np.where(size <= 1e-100 * size.max(initial=0.0), 1.0, size)  # a column that is zero
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
     return values, vectors, values > _UNSEEN**2 * values.max(initial=0.0), size
 
@@ -229,10 +229,11 @@ def _noise_models(
     joined = joined - joined.mean(axis=1, keepdims=True)
     # start: models of the residuals as they are
     models = [(a, variance * correction) for a, variance in models]
-    least = RESOLUTION**2 * max(variance for _, variance in models)  # of an output that is no rounding
+    # least variance of an output whose residual is not rounding
+    least = RESOLUTION**2 * max(variance for _, variance in models)
     noisy = {i: model for i, model in enumerate(models) if model[1] > least}
     for _ in range(_ROUNDS if noisy else 0):
-        # expectation: how far the unknowns move, and what they leave
+        # expectation: change of the unknowns, and the residual that it leaves
         shift, roots = _shift_unknowns(noisy, residuals, jacobians, precision, at)
         left = joined - np.concatenate([J @ shift[own] for J, own in zip(jacobians, at, strict=True)], axis=1)
         if (np.sum(left**2, axis=1) > _AWAY * np.sum(joined**2, axis=1))[list(noisy)].any():

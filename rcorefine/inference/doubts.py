@@ -21,11 +21,11 @@ from .covariance import pseudo_inverse
 from .levels import levels
 from .refinement import Refinement
 
-_STILL = 1e-12  # of an output's size, below which it does not move
-_POOR, _GOOD = 50.0, 90.0  # fit in percent below which a swapped sign is tried; from which a fit is close
-_WITH = 0.2  # correlation with the initial model's run, from which on a sign is not in question
-_WIDE = 0.01  # std over the model's value, below which no valley is bent
-_AWAY, _BENT = 2.0, 4.0  # standard deviations away, and how much the error may differ there from the promise
+_STILL = 1e-12  # range over size of an output, below which it is constant
+_POOR, _GOOD = 50.0, 90.0  # fit in percent: below it a reversed sign is tried; above it a fit is good
+_WITH = 0.2  # correlation with the initial model above which a sign is not in doubt
+_WIDE = 0.01  # standard deviation over the nominal value, below which the cost is quadratic
+_AWAY, _BENT = 2.0, 4.0  # distance in standard deviations, and factor by which the cost may deviate there
 
 
 def stands_still(outputs: Array) -> Array:
@@ -111,7 +111,7 @@ def _check_sign(
         # fit again with the sign of the suspected outputs reversed
         sign = (1.0 - 2.0 * which)[:, None]
         other = again([record._changed(outputs=sign * record.outputs) for record in fit.segments])
-        # the residual power of all outputs, each in the log
+        # cost: sum of the logarithms of the residual power over the outputs
         if other.cost < fit.cost + 2.0 * np.log(levels().turned_over):
             names = ", ".join(label for label, one in zip(labels, which, strict=True) if one)
             return [
@@ -196,7 +196,8 @@ def _check_curvature(found: Refinement, fit: Any) -> str:
     bent = []
     for i, row in enumerate(found.parameters):
         label = fit.structure.parameters[i].label
-        wide = 0 < _WIDE * abs(row.initial) < row.std < np.inf  # what the model has no value for has no scale
+        # a parameter without a nominal value has no scale
+        wide = 0 < _WIDE * abs(row.initial) < row.std < np.inf
         if row.role == "offset" or not wide or label in bounds or inverse[i, i] <= 0:
             continue
         # step of two standard deviations along one parameter, the others following

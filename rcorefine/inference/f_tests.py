@@ -14,8 +14,8 @@ from scipy.linalg import solve_triangular
 from ..results import Row
 from ..systems.linear import Array
 
-_INSIDE = 1e-6  # share of a column, or sine of an angle, below which it lies in what was fitted
-_FEWEST = 10  # degrees of freedom that a test leaves at least
+_INSIDE = 1e-6  # share of a column, or sine of an angle, below which it lies in the span of the fit
+_FEWEST = 10  # least degrees of freedom that remain
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,8 +275,8 @@ def unequal_variances(gain: float, q: Array, residual: Array, basis: Basis | Arr
     return _by_box(gain, float(np.trace(covariance)), float(np.sum(covariance**2)), weight)
 
 
-_RANK = 3e-7  # singular value, relative, below which a direction is none
-_SURE = 1e-6  # eigenvalue of the Gram matrix, relative, above which its directions are orthogonal at once
+_RANK = 3e-7  # relative singular value below which a direction does not count
+_SURE = 1e-6  # relative eigenvalue of the Gram matrix above which its directions are orthogonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,7 +371,7 @@ def rank_basis(columns: Array, sizes: Array | None = None) -> Array:
     sizes = sizes[kept]
     # eigenvectors of the Gram matrix of columns of unit size
     values, vectors = np.linalg.eigh(gram[np.ix_(kept, kept)] / np.outer(sizes, sizes))
-    top = max(float(values[-1]), 1.0)  # less where hardly anything is left of what counted as one
+    top = max(float(values[-1]), 1.0)  # smaller where the columns are nearly in the basis
     seen = values > _RANK**2 * top
     if not seen.any():
         return columns[:, :0]
@@ -380,7 +380,7 @@ def rank_basis(columns: Array, sizes: Array | None = None) -> Array:
     turn[kept] = vectors[:, seen] / np.sqrt(values[seen]) / sizes[:, None]
     basis = columns @ turn
     if values[seen][0] < _SURE * top:
-        # once more: the small directions come out of the Gram matrix only nearly orthogonal
+        # orthogonalize again: small directions of the Gram matrix are only nearly orthogonal
         lower = np.linalg.cholesky(basis.T @ basis)
         basis = basis @ solve_triangular(lower, np.eye(len(lower)), lower=True).T
     return np.asarray(basis)

@@ -21,7 +21,7 @@ from .problem import Descent, Problem, descend
 from .search import search, starting_states, sufficient_steps
 from .starts import Motion, shape_starts
 
-_ROUGHLY, _EXACTLY = 1e-2, 1e-9  # of the log likelihood: a polish before and after the substep is settled
+_ROUGHLY, _EXACTLY = 1e-2, 1e-9  # tolerance in log-likelihood before and after the substeps are final
 
 
 class Fit:

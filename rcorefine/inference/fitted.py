@@ -26,7 +26,7 @@ from .refinement import Refinement
 from .starts import Motion, law_widths
 from .whitening import Whitener
 
-_STRONGER = 1e-3  # share of a gain
+_STRONGER = 1e-3  # relative increase of an observer gain for a difference
 
 
 @dataclass(eq=False)
@@ -149,7 +149,7 @@ class FittedModel:
             for i, (engine, start) in enumerate(zip(self.problem.engines, starts, strict=True)):
                 run = engine.run(theta, start, sensitivity=False, gain=stronger, check=False)
                 error = self.problem.weights[:, None] * (run.outputs - engine.data.outputs)
-                if np.isfinite(error).all():  # a lead that lets the run blow up is none
+                if np.isfinite(error).all():  # no column if the run diverges
                     columns[i][:, :, k] = error - self.residuals()[i]
         # zero where the samples cannot be compared
         judged = self.problem.judged(theta)
@@ -245,7 +245,7 @@ def fitted_from(
     # noise level: declared, of the measured points, or that of the residual
     if noise is not None:
         level = np.broadcast_to(np.asarray(noise, float), shape)
-    elif in_frequency(records):  # in units of the noise of the points
+    elif in_frequency(records):  # relative to the noise of the points
         plain = Problem(structure, records, np.ones(shape), **given)
         level = 1.0 / output_weights(records, None, plain, plain.pack(theta, refinement.initial_states))
     else:

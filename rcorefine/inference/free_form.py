@@ -31,12 +31,12 @@ from .sensitivities import force_responses
 from .whitening import Whitener
 
 _COUNT = 15  # knots along each signal
-_ALIKE = 2.0  # rms of the motion over which neighbors are alike
-_SIZES = np.logspace(0.0, 10.0, 31)  # variance of the curve over that of the noise, tried
-_SHARES = 10.0 ** (np.arange(-199, 1) / 40.0 - 1.0 / 80.0)  # sizes up to 1, in the middle of even steps
-_SETTLED = 1e-3  # relative change of the residual that is none
+_ALIKE = 2.0  # correlation length of the curve over the rms of the motion
+_SIZES = np.logspace(0.0, 10.0, 31)  # candidate variances of the curve over that of the noise
+_SHARES = 10.0 ** (np.arange(-199, 1) / 40.0 - 1.0 / 80.0)  # sizes up to 1, midpoints of equal steps
+_SETTLED = 1e-3  # relative change of the residual that ends the iteration
 _EVALUATIONS = 6
-_STIFF = 1e6  # one over the prior standard deviation of what is held, in typical sizes
+_STIFF = 1e6  # inverse prior standard deviation of held coefficients, in typical sizes
 
 
 class Curve(NamedTuple):
@@ -279,7 +279,8 @@ def fit_free_form(
     n, k = fitted.point.size, len(curve.root)
     point, values = (fitted.point, np.zeros(k)) if start is None else (start.fitted.point, start.values)
     held = np.sqrt(fitted.problem.precision)
-    if curve.kind == OutputCurve.name:  # a constant before a free curve only moves its knots
+    # hold a constant before a free curve, which would only shift its knots
+    if curve.kind == OutputCurve.name:
         s = fitted.structure
         constant = [s.effects[q.effect].spec.holds_constant for q in s.parameters]
         held[: len(constant)][constant] = _STIFF / fitted.problem.sizes_at(point)[: len(constant)][constant]
@@ -292,7 +293,7 @@ def fit_free_form(
         white, J, X = _linearize(model, fitted.at(point), curve, whitener, ratio)
         # basis of all other unknowns with their priors, to be projected off
         basis = rank_basis(np.vstack([J, np.diag(held)]))
-        # what would be left without the curve, and what the curve can do about it
+        # residual without the curve, and the columns of the curve, outside of the basis
         both = np.vstack([np.column_stack([white - X @ values, X @ curve.root]), np.zeros((n, 1 + k))])
         both = project(both, basis)
         found = evidence(both[:, 0], both[:, 1:])
@@ -302,7 +303,7 @@ def fit_free_form(
             try:
                 models = _with_curve(fitted, curve, at[:n], at[n:]), fitted.at(at[:n])
                 white, J, X = _linearize(*models, curve, whitener, ratio)
-            except ModelError:  # its linear model runs away within one sample
+            except ModelError:  # the linear model diverges within one sample
                 return Rows(np.full(n + k, np.inf), np.zeros((n + k, n + k)))
             zeros = np.zeros((n, k))
             jacobian = np.block([[J, X], [np.diag(held), zeros], [zeros.T, prior]])
@@ -386,9 +387,9 @@ def channel_signal(fitted: FittedModel, label: str, i: int) -> Array:
     return np.asarray(run.outputs[list(model.output_labels).index(label)])
 
 
-_LEVELS = np.logspace(-3, 1, 9)  # of the force that drives the estimate, tried by likelihood
-_MEMORY = (3.0, 12.0, 50.0)  # samples for which it lasts, tried too
-_TRIED_ON = 1000  # samples
+_LEVELS = np.logspace(-3, 1, 9)  # candidate levels of the noise that drives the force
+_MEMORY = (3.0, 12.0, 50.0)  # candidate correlation times in samples
+_TRIED_ON = 1000  # samples for the likelihood
 
 
 def estimated_force(
@@ -439,7 +440,7 @@ def estimated_force(
         A[:n, :n], A[:n, n], A[n, n] = linear.A, act, -1.0 / (memory * record.dt)
         F, G0, G1 = discretize(A, B, record.dt, hold)
         drive = (G0 @ w + G1 @ np.hstack([w[:, 1:], w[:, -1:]])).T
-        # a force that moves the output by its own size within a sample: the scale of the walk
+        # unit: the force that changes the output by its own size within a sample
         reach = np.linalg.norm(C @ F[:, -1]) + np.linalg.norm(C[:, -1]) + 1e-300
         unit = float(np.linalg.norm(y.std(axis=1))) / reach
         runs += [_Walk(F, C, R, y.T, drive, share * unit) for share in _LEVELS]
@@ -473,7 +474,7 @@ class _Walk(NamedTuple):
     def smoothed(self, most: int | None = None) -> Smoothed:
         """States in their sizes, over the first samples or all."""
         size = self.size
-        Q = 1e-12 * np.mean(np.diag(self.R)) * np.eye(size.size)  # no direction without any noise
+        Q = 1e-12 * np.mean(np.diag(self.R)) * np.eye(size.size)  # a little process noise in every direction
         Q[-1, -1] += 1.0
         # states in units of their sizes
         F, C, drive = self.F * size / size[:, None], self.C * size, self.drive[:most] / size

@@ -23,7 +23,7 @@ from .parameters import estimated, weak_priors
 from .problem import Problem
 from .refinement import Refinement
 
-_FLAT = 1e-9  # share of the cost: rounding, where the valley has led far away
+_FLAT = 1e-9  # relative increase of the cost that is rounding
 
 
 def output_weights(
@@ -32,7 +32,7 @@ def output_weights(
     """One over the noise of each output: declared, or from the residual."""
     ny = records[0].outputs.shape[0]
     declared = as_noise(noise, ny)
-    if noise_is_known(records):  # they stand in its units
+    if noise_is_known(records):  # residuals are in units of the noise
         declared = np.ones(ny)
     if declared is not None:
         return 1.0 / declared

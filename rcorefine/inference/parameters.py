@@ -14,8 +14,8 @@ from ..models.parameters import natural_size
 from ..results import Row, estimate
 from ..systems.linear import Array
 
-_LOOSE = 30.0  # relative sd of a linear parameter that floats freely
-_CHANGE = 1.0  # relative sd of a change; of changes that fit alike, larger ones are less plausible
+_LOOSE = 30.0  # relative prior standard deviation of a free linear parameter
+_CHANGE = 1.0  # relative prior standard deviation of a change: of equally good ones the smaller is preferred
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ def parameter_table(
             size = nominal_size(structure, effect)
             wide = _CHANGE if role == "change" else tolerance or _LOOSE
             sd = wide * size if size > 0 else np.inf
-            # a loose one only settles what the record cannot: scales that cancel stay near the model's
+            # a wide prior only decides what the record cannot, such as two scales that cancel
             weak = role == "change" or tolerance == 0
         rows.append(
             EstimatedParameter(

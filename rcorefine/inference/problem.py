@@ -92,8 +92,8 @@ class Coordinates:
 
 
 _LARGEST = 1e60
-_ROUNDING = 1e-22  # of the level, below which a cost is rounding
-_FAILED = 1e8  # residual level of a simulation that blew up: worse than anything, yet finite
+_ROUNDING = 1e-22  # share of the level below which a cost is rounding
+_FAILED = 1e8  # residual of a simulation that diverged: large, but finite
 
 
 class Problem:
@@ -144,7 +144,7 @@ class Problem:
         self.coordinates = Coordinates(structure)
         self.records: list[Any] = list(records)
         self.in_time = not in_frequency(self.records)
-        if not self.in_time:  # a response has no start
+        if not self.in_time:  # a frequency response has no initial state
             initial = np.zeros(structure.n_states)
         p = structure.n_parameters
         self.prior_mean: Array = np.zeros(p) if prior_mean is None else prior_mean
@@ -681,10 +681,10 @@ def descend(
     tolerance = max(tolerance, 2.0 * unnoticed / problem.n_points)
     low, high = problem.box()
     begin = problem.coordinates.of(point)
-    if free is not None:  # bounds meet where an unknown is held
+    if free is not None:  # held unknowns have equal bounds
         low, high = (np.where(free, bound, np.clip(begin, low, high)) for bound in (low, high))
 
-    def rows(box: Array) -> Rows:  # where every constraint is a bound
+    def rows(box: Array) -> Rows:  # coordinates in which every constraint is a bound
         here = problem.coordinates.point(box)
         if known is not None and np.array_equal(here, point):
             return _rows(problem, known, here, whitener)

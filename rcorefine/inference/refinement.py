@@ -391,7 +391,7 @@ class Refinement(ReportedModel, CodeExports):
             lines.insert(2, "prior is the standard deviation of what is known about a value beforehand.")
         if self.hold is not None:
             lines.append(f"All inputs use hold={self.hold!r}, whatever a record declares.")
-        # what an estimate means nothing for stands in its message
+        # reasons not to trust the estimate are in its message already
         return lines + [f"Warning: {said}." for said in self.warnings if said not in self.message]
 
 

@@ -23,8 +23,8 @@ from .covariance import parameter_uncertainty, pseudo_inverse
 from .problem import Problem, descend
 from .starts import far_starts
 
-_FLOOR = 0.1  # relative error that no point falls below here: all count, whatever their noise
-_POINTS, _FEW_POINTS = 400, 60  # of each response, linear or not
+_FLOOR = 0.1  # least relative error of a point, so that all points count
+_POINTS, _FEW_POINTS = 400, 60  # points of each response, for linear and for nonlinear effects
 _EVALUATIONS, _FEW_EVALUATIONS = 25, 6
 
 
@@ -61,7 +61,7 @@ def by_logarithms(problem: Problem, point: Array) -> Array:
 
     # residual log(model / measured): gain and phase errors as ratios, then the priors
     def rows(box: Array) -> Rows:
-        theta = problem.coordinates.point(box)  # a response has no start
+        theta = problem.coordinates.point(box)  # a frequency response has no initial state
         residuals, slopes = ([part] for part in problem.prior_rows(theta))
         for engine, g, weight in zip(engines, measured, weights, strict=True):
             if engine not in chosen:
@@ -79,7 +79,7 @@ def by_logarithms(problem: Problem, point: Array) -> Array:
         problem.coordinates.of(problem.inside(point)),
         _FEW_EVALUATIONS if nonlinear else _EVALUATIONS,
     )
-    # nonlinear: the quietest response first, for its peak has moved least
+    # nonlinear: the response of the smallest amplitude first, whose peak has moved least
     for k in range(1, len(engines) + 1) if nonlinear else (len(engines),):
         chosen = [engines[i] for i in loudest[:k]]
         start = gauss_newton(
@@ -100,14 +100,14 @@ def _parts(values: np.ndarray) -> Array:
     return np.concatenate([values.real.ravel(), values.imag.ravel()])
 
 
-_ROUGHLY = 1e-6  # of the cost
+_ROUGHLY = 1e-6  # relative decrease of the cost that ends an optimization
 _RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
-_START_SAMPLES = 4000  # the first pass needs no more
-_POLISHED = 3  # starts that are polished
-_FAIR, _POOR = 1e-3, 0.02  # cost over that of no model: above, other starts are tried
-_FIRST_WINDOWS = 32  # free runs that the record is cut into where it is hard
-_SHORTEST_WINDOW = 60  # samples
-_STEP_SHARE = 0.5  # of a standard deviation that halving the substep may shift a coefficient
+_START_SAMPLES = 4000  # samples for the first pass
+_POLISHED = 3  # starting points that are optimized
+_FAIR, _POOR = 1e-3, 0.02  # cost over that of no model, above which other starting points are tried
+_FIRST_WINDOWS = 32  # free runs into which a difficult record is cut
+_SHORTEST_WINDOW = 60  # samples of the shortest window
+_STEP_SHARE = 0.5  # change of a coefficient by halved substeps, in standard deviations
 _MOST_SUBSTEPS = 256
 
 ProblemOf = Callable[..., Problem]
@@ -373,7 +373,7 @@ def step_matters(coarse: Problem, fine: Problem, point: Array) -> float:
     if not (evaluation.finite and finer.finite):
         return (
             np.inf if evaluation.finite or finer.finite else 0.0
-        )  # what runs away at both is no fault of it
+        )  # if both diverge, the substeps are not the reason
     # change of the residual by the finer integration, as a Gauss-Newton step
     n = coarse.n_points
     difference = finer.residual[:n] - evaluation.residual[:n]

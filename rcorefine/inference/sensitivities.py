@@ -21,7 +21,7 @@ from .fitted import FittedModel
 from .problem import Problem
 from .starts import Motion, law_widths, shape_starts
 
-_DIVERGED = 1e100  # of the noise: its squares would be no numbers
+_DIVERGED = 1e100  # columns above this, in units of the noise, would overflow when squared
 
 
 @dataclass(eq=False)
@@ -92,7 +92,7 @@ def candidate_columns(
     # three kinds: a simulation of its own, parameters in one simulation, force laws along the motion
     for i, candidate in enumerate(found):
         law = candidate.effect.spec
-        # along the motion of a nonlinear model nothing short of its own derivatives is right
+        # effects on nonlinear models and at channels need a simulation of their own
         if (
             not fitted.problem.in_time
             or law.secant
@@ -102,7 +102,7 @@ def candidate_columns(
         ):
             for ratio in ratios:
                 candidate.columns[ratio] = _own_columns(candidate, ratio)
-        elif law.is_parameter:  # they ride along in one simulation
+        elif law.is_parameter:  # parameters share one simulation
             riders.append(i)
         else:
             laws.append((i, _shapes(candidate)))
@@ -116,7 +116,7 @@ def candidate_columns(
     for ratio in ratios:
         _law_columns(fitted, found, laws, ratio)
     for candidate in found:
-        for ratio, blocks in candidate.columns.items():  # zero where one diverges: it says nothing
+        for ratio, blocks in candidate.columns.items():  # diverging columns become zero
             largest = np.max([np.abs(block).max(axis=(0, 1)) for block in blocks], axis=0)
             candidate.columns[ratio] = [np.where(largest < _DIVERGED, block, 0.0) for block in blocks]
     return found
@@ -226,10 +226,10 @@ def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
         theta, states = problem.unpack(start)
         if not problem.in_time and not secant:
             for engine, base in zip(problem.engines, fitted.problem.engines, strict=True):
-                engine.begin(base)  # the law is absent: so it answers as the model does
+                engine.begin(base)  # the effect is absent: start from the solution of the model
         judged = fitted.problem.judged(fitted.theta) if secant else problem.judged(theta)
         for i, engine in enumerate(problem.engines):
-            # a secant is a difference: no derivatives, which take most of the time
+            # a secant is a difference and needs no derivatives
             run = engine.run(theta, states[i], sensitivity=not secant, gain=K, check=False)
             weights = problem.weights[:, None] * judged[i]
             # secant: residual with the effect less that without
@@ -306,5 +306,5 @@ def force_responses(
     drives, F = (G0[:, where], G1[:, where]), np.array([force for _, force in forces]).T  # (N, k)
     # responses from rest, in units of the noise
     out = linear_responses(Phi, drives, C0, through[:, where], F, gain=gain)
-    with np.errstate(over="ignore"):  # one unit of a coefficient may be enormous on this plant
+    with np.errstate(over="ignore"):  # a unit of a coefficient may have an enormous effect
         return np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])

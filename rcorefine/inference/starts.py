@@ -24,11 +24,11 @@ from ..models.operating_point import sensed
 from ..systems.linear import Array
 from .problem import Problem
 
-_MOST_DRIFT, _DRIFTS = 0.02, 300  # share by which clocks may run apart, and how many are tried on each side
-_SLIP = 0.5  # radians at the end of the record from one to the next
+_MOST_DRIFT, _DRIFTS = 0.02, 300  # largest relative drift of the clocks; candidates on each side
+_SLIP = 0.5  # phase difference in radians between candidates, at the end of the record
 
 
-@np.errstate(invalid="ignore")  # without a motion the correlation is no number
+@np.errstate(invalid="ignore")  # without motion the correlation is NaN
 def growing_lags(structure: Structure, records: Sequence[Measurement]) -> list[float]:
     """Return the share of time by which outputs precede the simulation.
 
@@ -100,7 +100,8 @@ def _correlations(late: Array, early: Array, count: int) -> Array:
 
     At lag k it is that of ``late[k:]`` and ``early[:N - k]``.
     """
-    y, x = late - late.mean(), early[::-1] - early.mean()  # what a lag leaves of both is their end
+    # x in reverse, so that sums over the overlap are cumulative
+    y, x = late - late.mean(), early[::-1] - early.mean()
     size = y.size - np.arange(count)
 
     def left(part: Array) -> Array:
@@ -113,8 +114,8 @@ def _correlations(late: Array, early: Array, count: int) -> Array:
     return np.asarray(both / np.sqrt(powers[0]) / np.sqrt(powers[1]))
 
 
-_ROUNDING = 1e-12  # of a power
-_AT_REST = 0.01  # of the largest rms velocity among several records
+_ROUNDING = 1e-12  # share of a power that is rounding
+_AT_REST = 0.01  # share of the largest rms velocity below which a record is at rest
 _MOST_STARTS = 24
 
 
@@ -214,7 +215,7 @@ def law_widths(structure: Structure, motion: Motion) -> dict[int, float]:
             # width: the user's, else a share of the rms velocity
             given = (effect.fixed or {}).get("width")
             speeds = np.array([np.sqrt(np.mean(m.port(effect.place)[1] ** 2)) for m in motions])
-            # sharp enough for the quietest record that moves at all
+            # the record with the smallest motion decides
             rms = float(speeds[speeds >= _AT_REST * speeds.max()].min())
             widths[index] = float(given) if given is not None else share * rms or 1.0
     return widths
@@ -370,7 +371,7 @@ def far_starts(problem: Problem, structure: Structure, theta: Array) -> list[Arr
         size = nominal.get((effect.kind, effect.place), 0.0)
         if effect.spec.inertial:
             size = structure.inertia(effect.place)
-        known = problem.prior_sd[i] < size  # a declared tolerance: it is not far off
+        known = problem.prior_sd[i] < size  # a declared tolerance: no scan needed
         if effect.spec.is_element and 0 < size < np.inf and not known:
             columns.append((i, size))
     if not columns:

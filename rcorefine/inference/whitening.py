@@ -16,8 +16,8 @@ from ..systems.linear import Array
 
 #: Share of an output's standard deviation below which a residual in time is that of the arithmetic.
 RESOLUTION = 1e-6
-_HUBER = 1.345  # times the standard deviation; of normal noise 95 % of the efficiency is kept
-_HEAVY = 5.0  # excess kurtosis, in its standard deviations, from which samples count as unequally noisy
+_HUBER = 1.345  # Huber's constant: 95 % efficiency for normal noise
+_HEAVY = 5.0  # excess kurtosis in standard deviations, above which samples are unequally noisy
 
 
 def innovations(a: Array, signal: Array) -> Array:
@@ -30,8 +30,8 @@ def innovations(a: Array, signal: Array) -> Array:
     if signal.ndim == 1:
         return np.convolve(signal, a)[: signal.size]
     left = np.zeros_like(signal)
-    for j in np.flatnonzero(signal.any(axis=0)):  # an initial state is felt in its own window only
-        left[:, j] = np.convolve(signal[:, j], a)[: len(signal)]  # a third of lfilter's time in windows
+    for j in np.flatnonzero(signal.any(axis=0)):  # columns of other windows' initial states are zero
+        left[:, j] = np.convolve(signal[:, j], a)[: len(signal)]  # three times as fast as lfilter
     return left
 
 
@@ -82,7 +82,7 @@ class Whitener:
         # one model for each output, over all records
         models = [autoregression(row, order=order, most=most) for row in np.concatenate(residuals, axis=1)]
         left = np.sqrt([variance for _, variance in models])
-        # nothing is left where no sample is judged, or an observer follows the record: that is no noise
+        # zero innovations (no sample counts, or the observer follows the record) are no noise level
         return cls(tuple(a for a, _ in models), np.where(left > 0, np.hypot(left, floor), 1.0))
 
     @property
@@ -96,7 +96,7 @@ class Whitener:
         The result begins at the first sample with a whole past.
         """
         a = self.filters[i]
-        with np.errstate(over="ignore"):  # the column of an enormous unit is as enormous
+        with np.errstate(over="ignore"):  # columns of coefficients with a large unit may overflow
             return np.asarray(innovations(a, signal)[a.size - 1 :] / self.scales[i])
 
     def apply(self, blocks: Sequence[Array]) -> Array:
@@ -156,7 +156,7 @@ def huber_weights(residual: Array, outputs: NDArray[np.intp]) -> Array | None:
     for i in np.unique(outputs):
         mine = outputs == i
         r = residual[mine]
-        known = r[r != 0.0]  # a sample that is not judged is exactly zero
+        known = r[r != 0.0]  # samples without weight are exactly zero
         # robust scale: median of the absolute values
         scale = float(np.median(np.abs(known))) / stats.norm.ppf(0.75) if known.size else 0.0
         if scale <= 0.0:
@@ -171,7 +171,7 @@ def huber_weights(residual: Array, outputs: NDArray[np.intp]) -> Array | None:
 
 
 MAX_ORDER = 20
-_RIDGE = 1e-13  # of the signal's power: rounding of the sums of products stays below it
+_RIDGE = 1e-13  # ridge over the power of the signal, above the rounding of the sums
 
 
 def highest_order(n_samples: int) -> int:
@@ -270,7 +270,7 @@ def _products(r: Array, most: int) -> Array:
     n, lags = r.size, np.arange(most + 1)
     products = np.empty((most + 1, most + 1))
     products[0] = [r[most:] @ r[most - lag : n - lag] for lag in lags]
-    for i in range(most):  # one sample further back, one enters the sum and one leaves it
+    for i in range(most):  # shift by one sample: one product enters the sum, one leaves it
         entered, left = r[most - 1 - i] * r[most - 1 - lags[:-1]], r[n - 1 - i] * r[n - 1 - lags[:-1]]
         products[i + 1, 1:] = products[i, :-1] + entered - left
         products[i + 1, 0] = products[0, i + 1]

@@ -27,7 +27,7 @@ from .parameters import NominalParameter, combine_units
 from .physical_model import PhysicalModel
 from .ports import Port
 
-_TIMES = (0.0, 1.7)  # at which a model that does not depend on time says the same
+_TIMES = (0.0, 1.7)  # times at which an autonomous model gives the same rates
 _KNOWN: WeakKeyDictionary[Any, tuple[dict[str, Any], PhysicalModel]] = WeakKeyDictionary()
 
 
@@ -104,7 +104,7 @@ def from_nonlinear(
     if not np.isfinite(L).all():
         raise ModelError(_NOWHERE.format(label=functions.label, what="have no slope"))
     if exact is not None and np.allclose(exact, L, rtol=1e-6, atol=1e-9 * np.abs(L).max(initial=0.0)):
-        L = exact  # but not at a corner, nor where symbols took another way through the functions
+        L = exact  # not at a corner, where the traced path may be another one
     linear = bare.with_arrays(A=L[:n, :n], B=L[:n, n:], C=L[n:, :n], D=L[n:, n:])
     # places of the linear part
     model = PhysicalModel(**recognized(linear.to_statespace(), None, declared))
@@ -432,7 +432,7 @@ def _sum_port(model: PhysicalModel, name: str, weights: Mapping[str, float]) -> 
     if not positioned:
         rows["velocity_input"] = rows["velocity_input"] + direct
     # an input is the unit of the displacement, or of the velocity where there is none
-    elif inputs:  # the rate of the input is in no matrix
+    elif inputs:  # the rate of the input is unknown
         rows |= {"velocity": np.zeros(linear.n_states), "velocity_input": 0.0 * direct}
     at_once = direct if positioned else 0.0 * direct
     words = f"declared, {'d' if positioned else 'v'} = {weighted(weights)}"

@@ -24,11 +24,11 @@ from .masses import MassScale, exchanging, relative_masses
 from .parameters import NominalParameter, rate_at
 from .ports import Element, Port, port_at, row_of
 
-_SAME = 1e-6  # relative misfit of numbers that are the same
-_LEFT = 1e-9  # relative size of what cancellation leaves behind
-_ROUNDED = 2e-3  # and of what four digits of the entries leave of a coupling
-_MOST = 60  # entries of B, C and D that somebody measured
-_ALONG = 1e-6  # of the cosine between two directions that are one: four digits of their entries are kept
+_SAME = 1e-6  # relative difference of equal values
+_LEFT = 1e-9  # relative size of rounding after cancellation
+_ROUNDED = 2e-3  # relative rounding of a coupling when entries have four digits
+_MOST = 60  # most entries of B, C and D that count as parameters
+_ALONG = 1e-6  # one minus the cosine of equal directions, for entries of four digits
 _ANONYMOUS = re.compile(r"x\[\d+\]")
 
 
@@ -60,7 +60,7 @@ def _in_continuous_time(sys: ct.StateSpace, dt: float | None) -> tuple[LinearMod
     """The model, and the relative size below which its entries count as zero."""
     linear = LinearModel.from_statespace(sys)
     step = None if dt is None else check_sampling_time(dt)
-    if linear.dt is None:  # python-control: either time base
+    if linear.dt is None:  # python-control: unspecified timebase
         linear = linear.with_arrays(dt=0)
     if linear.is_continuous:
         return linear, 1e-9
@@ -153,7 +153,7 @@ def _read_parameters(
     for element in elements:
         rest.off(element.port, Stiffness.name, element.stiffness)
         rest.off(element.port, Damping.name, element.damping)
-        rest.left[list(element.states)] = 0.0  # of a mode
+        rest.left[list(element.states)] = 0.0  # rows of a mode are explained
     velocity = dict(zip(*of_masses(displacements)[:2], strict=True))
     if not all(element.states for element in elements):
         rest.round_off(velocity)
@@ -171,7 +171,7 @@ def _read_parameters(
     for i, port in by_state.items():
         if port.kind == "mechanical" and not port.has_position:
             rest.take(port, Damping.name, i, i)
-    rest.left[[item.state for item in displacements]] = 0.0  # kinematics
+    rest.left[[item.state for item in displacements]] = 0.0  # kinematic rows
     # zero losses of a physical structure, then the entries that are left over
     parameters = rest.found + _lossless(linear, by_state, elements, rest.found, tolerance)
     for i, j in np.argwhere(rest.left[:, : linear.n_states]).tolist():
@@ -399,7 +399,7 @@ def _rate_weights(linear: LinearModel, rows: list[int], c: Array, d: Array, tole
         return None
     A, B = linear.A[rows], linear.B[rows]
     candidates: list[Array] = []
-    for index, row in enumerate(A):  # a single accelerometer is the plainest reading
+    for index, row in enumerate(A):  # first candidates: an accelerometer at one mass
         if row.any():
             weights = np.zeros(len(rows))
             weights[index] = (c @ row) / (row @ row)
@@ -502,7 +502,7 @@ def _scale(linear: LinearModel, row: Array, port: Port, parameters: Sequence[Nom
         return 0.0
     # least-squares factor between the row and that force
     scale = float(row @ force / (force @ force))
-    # entry by entry: a spring in N/m and a damper in N s/m have no common size
+    # entry by entry, since spring and damper have different units
     if np.any(np.abs(row - scale * force) > _SAME * np.maximum(np.abs(row), np.abs(scale * force))):
         return 0.0
     if abs(abs(scale) - 1.0) <= _SAME:
@@ -554,7 +554,7 @@ def read_weights(
 
     # entries of B that count, but no kinematics, single gains and plain forces
     driven = np.abs(linear.B) > tolerance * np.abs(linear.B).max(axis=0, initial=0.0)
-    driven[[item.state for item in displacements]] = False  # kinematics
+    driven[[item.state for item in displacements]] = False  # kinematic rows
     driven[:, driven.sum(axis=0) == 1] = False
     driven[:, [_enters(linear.B[:, j], ports) for j in range(linear.n_inputs)]] = False
 

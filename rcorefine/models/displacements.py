@@ -175,7 +175,7 @@ def _pairs(
     pairs = _unit_pairs(unit, entries)
     velocities = set(pairs.values())
     for i, j in single.items():
-        # another unit of length (or an LC pair) is believed only if a spring acts back
+        # displacement in another unit (or an LC pair): only if a spring acts back
         chained = i in single.values() and single.get(j) != i
         if i in unit or i in velocities or j in pairs or chained or single.get(j, i) != i:
             continue
@@ -197,7 +197,7 @@ def _unit_pairs(unit: dict[int, int], entries: list[NDArray[np.intp]]) -> dict[i
         chain = [i]
         while chain[-1] in unit and unit[chain[-1]] not in chain:
             chain.append(unit[chain[-1]])
-        closed = chain[-1] in unit  # back to the start, as in an inverted pendulum at rest
+        closed = chain[-1] in unit  # closed chain, as in a linearized inverted pendulum
         if closed and len(chain) == 2:
             pairs[min(chain)] = max(chain)
         elif i not in unit.values():
@@ -245,7 +245,7 @@ def _from_input(A: Array, driven: Array, i: int, j: int) -> bool:
     velocity = driven[driven != 0]
     if velocity.size != 1 or not np.isclose(velocity[0], -A[i, j], rtol=1e-6):
         return False
-    # an entry of minus one that its velocity gets back is the observable form with unit gain
+    # entries -1 and 1 are an observable form with unit gain
     canonical = A[i, j] < 0 and np.isclose(A[j, i], 1.0)
     return bool(np.isclose(abs(A[i, j]), 1.0, rtol=1e-6) and not canonical)
 
@@ -307,7 +307,7 @@ def _mode(linear: LinearModel, i: int, j: int) -> Element:
     A, B = linear.A[np.ix_(pair, pair)], linear.B[pair]
     # direction in which the inputs drive the pair
     drive = np.linalg.svd(B)[0][:, 0] if B.any() else np.array([0.0, 1.0])
-    across = np.array([drive[1], -drive[0]])  # what the main input drives only by way of its rate
+    across = np.array([drive[1], -drive[0]])  # displacement: the input drives it only through its rate
     across *= np.sign(across[np.argmax(np.abs(across))])
     # displacement across that direction; its rate is the velocity
     rate = across @ A

@@ -224,7 +224,7 @@ def _at_ports(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effe
         and (law.name in asked if asked is not None else _is_plausible(physical, port, law))
     ]
     best: dict[Any, tuple[bool, Port]] = {}
-    for port, law in candidates:  # one of those that act alike, the one with the parameter
+    for port, law in candidates:  # of effects that act alike keep the one at the place with the parameter
         holds, key = _has_parameter(physical, port, law.belongs_to), _action(port, law)
         if key not in best or holds > best[key][0]:
             best[key] = holds, port
@@ -239,7 +239,7 @@ def _at_ports(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effe
 def _is_plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
     """Return whether this effect is plausible at this port."""
     joined = _joins(port)
-    if law.name == Gravity.name:  # of an angle in rad, by its unit or by its name
+    if law.name == Gravity.name:  # an angle in rad, by its unit or its name
         labels = [physical.linear.state_labels[i] for i in np.flatnonzero(port.position)]
         named = len(labels) == 1 and bool(_ANGLE.search(labels[0]))
         if joined or not (port.position_unit == "rad" if port.position_unit else named):
@@ -250,7 +250,7 @@ def _is_plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
         return False
     if law.of_speeds and port.kind == "first_order" and port.domain not in _MOTIONS:
         return False
-    if port.modal:  # a change of its frequency or of its damping; other laws act at places
+    if port.modal:  # modes: only stiffness and damping
         return law.name in (Stiffness.name, Damping.name)
     # a body is one mass or store rather than what joins two
     flow = law.name == ConstantForce.name and port.kind == "first_order"  # from one store to another
@@ -265,7 +265,7 @@ def _is_plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
     # every law but a spring; springs where there is one, or between two bodies
     if law.belongs_to != Stiffness.name or joined or _has_parameter(physical, port, Stiffness.name):
         return True
-    # a spring to the ground at a mass that hangs on others is far-fetched
+    # a spring to the ground is implausible at a mass that is linked to others
     return not any(
         _joins(other) or _has_parameter(physical, other, Stiffness.name)
         for other in physical.ports
@@ -378,7 +378,7 @@ def _at_entries(
         # the damping of a first-order state is its diagonal entry already
         diagonal = {(state, state) for state in own}
         listed = [place for place in listed if physical.entry(place) not in diagonal]
-        if len(listed) > _MOST_ENTRIES:  # what the states do to each other goes first
+        if len(listed) > _MOST_ENTRIES:  # too many: only entries of A
             listed = [place for place in listed if place.startswith("A")]
         if len(listed) > _MOST_ENTRIES:
             return []

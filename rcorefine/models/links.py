@@ -16,12 +16,12 @@ from .displacements import Displacement, connected, of_masses, significant
 from .masses import MassScale
 from .ports import Element, port_at
 
-_ROUNDING = 1e-3  # of the diagonal: what rounding to four digits leaves of a zero
-_MOST_GROUPED = 7  # displacements whose every grouping into bodies is tried
-_MOST_MERGED = 6  # pairs that may be one body, all choices of which are tried
+_ROUNDING = 1e-3  # share of the diagonal that is rounding in entries of four digits
+_MOST_GROUPED = 7  # most displacements for which all groupings into bodies are tried
+_MOST_MERGED = 6  # most pairs of displacements that may be one body
 _ANGLES = frozenset("th theta phi psi alpha beta gamma pitch roll yaw angle rotation".split())
 _SMALL = 1e-12
-_UNEXPLAINED = 0.01  # of a damping coupling: more than rounding leaves of what the springs' links explain
+_UNEXPLAINED = 0.01  # share of a damping coupling that links of springs must leave to count
 
 Groups = list[list[int]]
 
@@ -62,9 +62,9 @@ def find_links(
     heft = np.sqrt(np.outer(masses.mass[v], masses.mass[v]))
 
     # accelerations times masses: forces, symmetric by action and reaction
-    def force(X: Array) -> Array:  # the symmetric part, where masses make it symmetric
+    def force(X: Array) -> Array:  # symmetric part within linked pairs
         X = np.asarray(-np.linalg.solve(masses.inverse[np.ix_(v, v)], X), dtype=np.float64)
-        if masses.shared:  # what is no larger than the asymmetry is rounding, too
+        if masses.shared:  # entries smaller than the asymmetry are rounding
             rounding = ((2.0 * np.abs(X - X.T) + _SMALL * np.abs(X)) / heft).max()
             X[np.abs(X) <= rounding * heft] = 0.0
         return np.where(linked, 0.5 * (X + X.T), 0.0)
@@ -85,7 +85,7 @@ def find_links(
     for g, k, c in zip(directions, springs, dampers, strict=True):
         name = next((name for name, own in given.items() if own is g), "")
         whole = int(np.argmin(np.abs(np.abs(g / scale if name else g) - 1.0)))
-        size = float(scale[whole])  # unit of the displacement that counts whole
+        size = float(scale[whole])  # unit of the displacement with weight one
         if name:
             g, k, c = g / size, size**2 * k, size**2 * c
         ends = np.flatnonzero(g).tolist()
@@ -121,7 +121,7 @@ def _directions(
     # links in the stiffness matrix, then in what they leave of stiffness and of damping
     found, open_ = factors(K, C, alike)
     new = [g for g in given if not any(_parallel(g, other) for other in found)]
-    # a found link inside the ends of a declared one is another reading of the same coupling
+    # a declared link replaces links found between its ends
     found = [g for g in found if not any(set(np.flatnonzero(g)) <= set(np.flatnonzero(h)) for h in given)]
     # declared links come first
     found += given
@@ -246,9 +246,9 @@ def _differences(K: Array, alike: NDArray[np.bool_]) -> list[Array]:
     # diagonal dominance: springs to the ground are not negative
     size = np.abs(np.diag(K))
     explained = bool((_comparison(K).sum(axis=1) >= -_ROUNDING * size).all())
-    if (K[coupled] < 0).all():  # gravity takes from the diagonal
+    if (K[coupled] < 0).all():  # gravity reduces the diagonal
         explained = explained or bool(np.linalg.eigvalsh(K)[0] < -_ROUNDING * size.max())
-    else:  # a displacement may be counted the other way; two alone may as well be heave and pitch
+    else:  # a displacement may have the opposite sense; a single pair may be heave and pitch
         explained = explained and len(K) > 2 and _is_balanced(K)
     return _pairs(K, np.ones(len(K))) if explained else []
 
@@ -308,7 +308,7 @@ def strengths(K: Array, directions: Sequence[Array], bodies: Sequence[Sequence[i
     known = outer / (np.linalg.norm(outer, axis=0) + 1e-300)
     values, vectors = np.linalg.eigh(known.T @ known)
     mixed = np.abs(vectors[:, values < 1e-9]).max(axis=1, initial=0.0) > 1e-6
-    if mixed.any():  # two to the ground at one body: what is left on its diagonal is theirs
+    if mixed.any():  # several springs to the ground at one body: use its diagonal entries, too
         corner = np.flatnonzero(G[mixed].any(axis=0))
         outer = np.vstack([outer, (G[:, corner] ** 2 / size[corner] ** 2).T])
         target = np.append(target, K[corner, corner] / size[corner] ** 2)
@@ -447,7 +447,8 @@ def _link_bodies(
         for direction in own[1]:
             g = np.zeros(len(K))
             g[group] = direction
-            if np.count_nonzero(np.abs(g) > _ROUNDING * np.abs(g).max()) > 1:  # else its own displacement
+            # a single displacement has a port of its own
+            if np.count_nonzero(np.abs(g) > _ROUNDING * np.abs(g).max()) > 1:
                 links.append(_scale(g, group, group) if len(groups) > 1 and alike[part].all() else unit(g))
     return price, links, open_
 
@@ -497,7 +498,7 @@ def _shares(
         columns = [ends[e][4] * np.outer(v, v) for e, v in zip(mine, vectors, strict=True)]
         outer = np.array([column.ravel() for column in columns]).T
         if len(mine) >= len(group) * (len(group) + 1) // 2 or np.linalg.matrix_rank(outer, 1e-6) < len(mine):
-            return None  # nothing that could refute it
+            return None  # too few equations to test the grouping
         # shares of the others by least squares; they must be positive and fit
         parts = np.linalg.lstsq(outer, rest.ravel(), rcond=None)[0]
         if (parts <= 0).any() or np.abs(outer @ parts - rest.ravel()).max() > _ROUNDING * np.abs(
@@ -526,7 +527,7 @@ def _ground_springs(K: Array, C: Array, size: float, *, paired: bool) -> tuple[i
     if rank == 1:
         return 1, [vectors[:, -1]], False
     if rank == 2 and len(K) == 2 and paired and np.abs(C).max() > 0:
-        # two springs with dampers beside them: the vectors that make both diagonal
+        # two springs with parallel dampers: vectors that diagonalize K and C
         ratios, modes = np.linalg.eig(np.linalg.solve(K, C))
         if np.isreal(ratios).all() and np.ptp(ratios.real) > 0.05 * np.abs(ratios).max():
             return 2, list(np.linalg.inv(modes.real)), False

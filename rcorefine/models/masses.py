@@ -13,7 +13,7 @@ from ..systems.linear import Array, LinearModel, balance
 from .displacements import Displacement, connected, is_companion, of_masses, significant
 from .ports import row_of
 
-_LEFT = (1e-7, 2e-3)  # relative size of what is left of an equation: by arithmetic, by entries of four digits
+_LEFT = (1e-7, 2e-3)  # relative residual of an equation: rounding, entries of four digits
 _SINGULAR = 1e-6  # smallest eigenvalue of a mass matrix with ones on its diagonal
 
 
@@ -51,7 +51,7 @@ def coupled_inverse(K: Array, C: Array, B: Array, without: int) -> tuple[Array, 
     n = len(K)
     if n < 2:
         return None
-    # units of the coordinates in which the couplings are of one size
+    # units of the coordinates that balance the couplings
     d = balance(np.abs(K) + np.sqrt(np.abs(K).max(initial=0.0)) * np.abs(C))
     K, C, B = K * d / d[:, None], C * d / d[:, None], B / d[:, None]
     # basis of the symmetric matrices W
@@ -139,7 +139,7 @@ def _numbers(K: Array, C: Array, B: Array, W: Array) -> tuple[int, int]:
     # entries that count in M, stiffness, damping and force
     mass, spring, damper, force = large(M, size), large(M @ K, size), large(M @ C, size), large(M @ B, 1.0)
     count = sum(np.count_nonzero(np.triu(X)) for X in (mass, spring, damper)) + np.count_nonzero(force)
-    return int(count) - 1, int(np.triu(spring | damper, 1).any())  # one is the unit of the masses
+    return int(count) - 1, int(np.triu(spring | damper, 1).any())  # one less for the unit of the masses
 
 
 def _definite(W: Array) -> Array | None:
@@ -155,7 +155,7 @@ def _definite(W: Array) -> Array | None:
     return np.asarray(W)
 
 
-_ASYMMETRY = 0.05  # ratios that differ by more are not those of one set of masses
+_ASYMMETRY = 0.05  # misfit of log mass ratios up to which one set of masses explains them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,7 +229,7 @@ def relative_masses(
     stores = [i for i in range(linear.n_states) if i not in taken]
     # stores that exchange something: capacities in place of masses
     for i, j in exchanging(A, stores, tolerance):
-        if A[i, j] > 0:  # both ways: capacities, like masses, make it symmetric
+        if A[i, j] > 0:  # exchange in both directions: capacities make it symmetric, like masses
             ratios[i, j] = float(np.log(A[i, j] / A[j, i]))
     # masses of each connected group up to a common factor
     logs, linked = _solve(linear.n_states, ratios)
@@ -318,7 +318,7 @@ def exchanging(A: Array, states: Sequence[int], tolerance: float) -> list[tuple[
     if is_companion(A, tolerance):
         return []
     A = significant(A, tolerance)
-    # what flows in comes from others, what is there only flows out
+    # positive couplings from other stores, a negative rate of its own
     stores = [i for i in states if A[i, i] < 0 and all(A[i, j] >= 0 for j in states if j != i)]
     found = []
     for i, j in combinations(stores, 2):
@@ -349,7 +349,7 @@ def _ratios(
     for i, j in combinations(range(len(v)), 2):
         if sprung[i, j] != sprung[j, i]:
             continue  # one-way coupling is not a link
-        # no spring between them: a damper tells the same ratio
+        # without a spring the damper gives the ratio
         forth, back = (K[i, j] * scale[j], K[j, i] * scale[i]) if sprung[i, j] else (C[i, j], C[j, i])
         # A_ij / A_ji = m_j / m_i
         if forth * back > 0:
@@ -381,7 +381,7 @@ def _solve(n: int, ratios: dict[tuple[int, int], float]) -> tuple[Array, NDArray
         if worst <= _ASYMMETRY:
             linked[one, two] = linked[two, one] = True
             break
-        # a single loop cannot tell which of its links is at fault: equals go together
+        # drop the worst pairs; equally bad ones of a loop together
         limit = worst * (1.0 - 1e-6 if len(kept) <= 200 else 0.9)
         kept = {pair: kept[pair] for pair, off in zip(kept, misfit, strict=True) if off < limit}
     return logs, linked

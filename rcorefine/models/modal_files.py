@@ -18,7 +18,7 @@ from ..exceptions import ConversionWarning, DataError, ModelError, warn
 from ..systems.linear import Array
 
 _SENSORS = ("displacement", "velocity", "acceleration")
-_NORMAL, _COMPLEX = 2, (3, 7)  # what an analysis of type 55 was
+_NORMAL, _COMPLEX = 2, (3, 7)  # codes of the analysis in data sets of type 55
 _DEGREE = re.compile(r"(\d+):([+-]?[1-6])")
 
 
@@ -189,7 +189,7 @@ def _mode(path: Any, k: int, one: dict[str, Any], masses: Array | None) -> _Mode
         scale, what = complex(one["modal_m"]), "modal mass"
     if not np.isfinite([pole, scale]).all() or (kind in _COMPLEX and not pole) or pole.real > 0:
         raise DataError(f"{here}: pole {pole:.4g} rad/s with {what} {scale:.4g} is no damped mode")
-    if masses is not None:  # of a mode of unit rate: a = 2 i w m
+    if masses is not None:  # modal a of a complex mode: 2 i w m
         scale = complex(masses[k]) * (2j * pole.imag if kind in _COMPLEX else 1.0)
     if not scale:
         raise ModelError(

@@ -131,7 +131,7 @@ def ordered_record(model: PhysicalModel, data: Any) -> Any:
         return record
     known = [record.output_labels[i] for i in range(record.n_outputs)]
     outputs = point.outputs
-    if len(known) < outputs.size:  # some were not measured
+    if len(known) < outputs.size:  # some outputs were not measured
         outputs = outputs[[model.linear.output_labels.index(label) for label in known]]
     # deviations from the operating point
     return record.deviation(point.inputs, outputs)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .physical_model import PhysicalModel
 
 
-# what people write instead of the quotient
+# usual names of derived units
 _ALIASES = {
     "N s^2/m": "kg",
     "W s/K": "J/K",
@@ -35,8 +35,8 @@ _ALIASES = {
     "N m s^2/rad": "kg m^2",
 }
 _FACTOR = re.compile(r"([^\s^*/()]+)(?:\^(-?\d+(?:\.\d+)?))?")
-_OWN = 1e-6  # share of what a number does that none before it does, below which it is none of its own
-_POINTS = 4  # in the complex plane for each state
+_OWN = 1e-6  # share of the influence of a parameter below which it is redundant
+_POINTS = 4  # evaluation points in the complex plane per state
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,7 +168,7 @@ def parse_unit(text: str) -> dict[str, float]:
     for match in _FACTOR.finditer(text):
         base, exponent = match.group(1), float(match.group(2) or 1)
         # a slash before a parenthesis divides all that is inside
-        opening = text.rfind("(", 0, match.start())  # of a parenthesis that may follow a slash
+        opening = text.rfind("(", 0, match.start())  # opening parenthesis, perhaps after a slash
         inside = opening > 0 and ")" not in text[opening : match.start()]
         divided = any(text[:at].rstrip().endswith("/") for at in (match.start(), *[opening] * inside))
         if base != "1":
@@ -189,7 +189,7 @@ def _format(powers: Mapping[str, float]) -> str:
     return f"{upper or '1'}/{below}" if lower else upper or "1"
 
 
-@lru_cache(maxsize=8)  # by identity: every fit of a model asks for them
+@lru_cache(maxsize=8)  # cached by identity, since every fit of a model needs them
 def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]:
     """Return the parameters of a model without the redundant ones.
 
@@ -214,13 +214,13 @@ def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]
     basis: list[Array] = []
     found = []
     for q in model.parameters:
-        if KINDS[q.kind].inertial:  # where gains are it stays: it may not stand in for what floats
+        if KINDS[q.kind].inertial:  # masses are never free beside gains and must not replace free parameters
             found.append(q)
             continue
         column = responses.change(q)
         size = float(np.linalg.norm(column))
         # Gram-Schmidt orthogonalization
-        for _ in range(2):  # twice: the first projection leaves rounding of what it takes away
+        for _ in range(2):  # twice, against rounding
             for known in basis:
                 column = column - (known @ column) * known
         left = float(np.linalg.norm(column))
@@ -254,7 +254,7 @@ class _Responses:
         self.inputs = np.concatenate([states, ones * np.eye(linear.n_inputs)], axis=1)
         self.whole = linear.C @ states + linear.D
         size = np.sqrt(np.mean(np.abs(self.whole) ** 2, axis=0))
-        self.scale = 1.0 / np.where(size > 0, size, np.inf)  # each way through the plant counts alike
+        self.scale = 1.0 / np.where(size > 0, size, np.inf)  # all channels count equally
 
     def change(self, q: NominalParameter) -> NDArray[np.float64]:
         """By a relative change of one number, real and imaginary parts in a row."""

@@ -350,7 +350,7 @@ class PhysicalModel(Result):
             )
         rule = effect.spec.coefficient(coefficient).unit_rule
         if not rule:
-            return ""  # a custom law's own
+            return ""  # the unit of a custom law is unknown
         where = effect.spec.where
         # entry of the matrices: unit of its row over that of its column
         if effect.kind == Entry.name:

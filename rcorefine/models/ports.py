@@ -128,7 +128,7 @@ class Port(Row):
             object.__setattr__(self, key, array)
 
     def _restore(self, state: tuple[Any, ...]) -> None:
-        # numpy forgets the write protection when it pickles
+        # pickling loses the write protection of arrays
         for key, value in zip(self.__slots__, state, strict=True):
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
@@ -184,7 +184,7 @@ class Port(Row):
         return f"{self.name} ({self.kind.replace('_', ' ')}): {self.description}"
 
 
-# before Python 3.11.4 a frozen dataclass with slots takes no such method from its body
+# Python before 3.11.4 overwrites the method of a frozen dataclass with slots
 Port.__setstate__ = Port._restore  # type: ignore[attr-defined]
 
 

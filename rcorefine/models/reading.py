@@ -30,10 +30,10 @@ SUFFIXES = (".csv", ".mtx", ".npy")
 #: Table of a TOML file that holds matrices; the others are named like the builders.
 MATRICES = "state_space"
 _LABELS = ("inputs", "outputs", "states")
-_KNOWN = ("links", "units", "parameters", "operating_point")  # what `physical` takes beside the matrices
+_KNOWN = ("links", "units", "parameters", "operating_point")  # arguments of `physical`
 _IN_FILES = {MATRICES: ("A", "B", "C", "D"), builders.mechanical.__name__: ("M", "C", "K", "force_map")}
 _MAPS = ("force", "force_map")  # a list of lists is a matrix there
-_MOST_STATES = 1000  # of a model in a file; a chain of 500 masses takes seconds, one of 2000 minutes
+_MOST_STATES = 1000  # most states of a model in a file
 _RULE = "must be numbers in rows of equal length"
 
 
@@ -75,7 +75,7 @@ def read_matrix(path: Path, where: str) -> Any:
         return coo_matrix((found["data"], (found["row"], found["col"])), shape=tuple(found["shape"]))
     except OSError as error:
         raise ModelError(f"{where}: {path} cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # a header's parser, too, fails in a dozen ways
+    except Exception as error:  # the parser of a header may raise anything
         raise ModelError(f"{where}: {path} holds no matrix: {error}") from error
 
 
@@ -84,7 +84,7 @@ def _from_text(path: Path) -> Array:
     text = re.sub(r"#.*", "", path.read_text(encoding="utf-8-sig"))
     if not text.strip():
         raise ValueError("it is empty")
-    if ";" in text:  # a comma is the decimal one there
+    if ";" in text:  # commas are decimal
         text = text.replace(",", ".")
     mark = next((mark for mark in ",;" if mark in text), None)
     return np.loadtxt([line for line in text.splitlines() if line.strip()], delimiter=mark, ndmin=2)
@@ -174,14 +174,14 @@ def _within(where: str) -> Iterator[None]:
     except (ModelError, ct.ControlDimension, ct.ControlArgument) as error:
         raise ModelError(f"{where}: {error}") from error
     except (TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
-        # text where a number belongs, and the like
+        # text in place of a number, for example
         raise ModelError(f"{where}: a value is of the wrong kind: {error}") from error
 
 
 def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     try:
         content = tomllib.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:  # of TOML, of UTF-8, of a number with thousands of digits
+    except ValueError as error:  # invalid TOML, UTF-8 or number
         raise ModelError(f"{file} is not TOML: {error}") from error
     except RecursionError as error:
         raise ModelError(f"{file} is not TOML of a model: its brackets are nested too deeply") from error
@@ -217,7 +217,7 @@ def _from_file(path: Path, where: str, *, whole: bool) -> Any:
     """
     found = read_matrix(path, where)
     if issparse(found):
-        if not whole:  # a few modes of it are kept
+        if not whole:  # stays sparse for modal reduction
             return found
         _check_size(max(found.shape, default=0), where)
         found = found.toarray()
@@ -239,7 +239,7 @@ def _call_builder(builder: Any, table: Mapping[str, Any], where: str) -> Physica
         _check_size(2 * len(value) if isinstance(value, (list, dict)) else 0, f"{where}, {key}")
     with _within(where):
         model: PhysicalModel = builder(**{key: _argument(key, value) for key, value in table.items()})
-        _ = model.system  # names that python-control refuses
+        _ = model.system  # raises if python-control refuses a name
     return model
 
 
@@ -300,7 +300,8 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, file: Path) 
             labels[key] = texts = values[key] if isinstance(values[key], list) else [values[key]]
             if len(texts) != count or not all(isinstance(text, str) for text in texts):
                 raise ModelError(f"{where}: {key} must be {count} name(s), not {values[key]!r}")
-    name = values.get("name", file.stem.replace(".", "_"))  # in python-control a dot parts system and signal
+    # python-control separates system and signal by a dot
+    name = values.get("name", file.stem.replace(".", "_"))
     if not isinstance(name, str) or not name:
         raise ModelError(f"{where}: name must be text, not {name!r}")
     try:

@@ -304,7 +304,7 @@ def base_fit(
     structure = Structure(physical, [e for e, _ in chosen], constants=constants)
     fit = Fit(structure, [role for _, role in chosen], segments, noise, None, tolerance)
     fit.steps = int(getattr(model, "substeps", 1))
-    if structure.field is not None:  # not even what it starts from is exact in one substep
+    if structure.field is not None:  # a nonlinear model needs substeps even without effects
         fit.resume(fit.steps, np.zeros((0, 0)))
         return package(fit, physical, note)
     # free run from estimated initial states

@@ -116,14 +116,14 @@ def second_order(
     n, units, rows = len(M), options.units, list(sensors.values())
     # directions of the places; a resisting force enters along each, with a minus sign
     G = np.column_stack([place.direction for place in places])
-    # one factorization of M for all: a long chain has thousands of places
+    # one factorization of M for all places
     solved = np.linalg.solve(M, np.hstack([K, C, F, G]))
     K, C, F, moved = np.split(solved, [n, 2 * n, 2 * n + F.shape[1]], axis=1)
     moved[np.abs(moved) <= 1e-14 * np.abs(moved).max(axis=0)] = 0.0
     # x = [q; q']: q'' = -M^-1 (K q + C q') + M^-1 F w
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-K, -C]])
     B = np.vstack([np.zeros_like(F), F])
-    # a rigid row of M^-1 M 1 is one; the solver may leave it off by rounding
+    # base excitation: exactly -1 without the rounding of the solver
     B[n:, base > 0] = -1.0
     motion = np.array([s.motion for s in rows])
     # sensors: displacement and velocity by the states, acceleration by their rates
@@ -193,7 +193,7 @@ def parse_sensors(
         # a load cell reads k d + c d', another sensor its quantity
         gains = _load_cell_gains(where, parameters) if quantity == "force" else {quantity: 1.0}
         motion = np.outer([gains.get(key, 0.0) for key in _LETTER if key != "force"], direction)
-        # displacements and velocities are relative to the base, an accelerometer feels it
+        # displacements and velocities are relative to the base, accelerations absolute
         felt = base * direction.sum() * (quantity == "acceleration" and absolute)
         unit, reads = options.units[quantity], where if quantity == "force" else ""
         found.append((label, Sensor(unit, motion, felt, reads)))
@@ -255,7 +255,7 @@ def input_map(options: BuilderArguments, M: Any) -> InputMap:
         numbers = as_indices(1 if force is None else force, what, "mass", size)
         matrix = np.eye(size)[:, numbers]
     labels = ["force"] if len(numbers) == 1 else [f"force{i + 1}" for i in numbers]
-    # through other numbers than 0 and 1 acts what need not be a force
+    # an input with other entries than 0, 1 and -1 need not be a force
     known = [bool(np.isin(np.abs(column), (0.0, 1.0)).all()) for column in matrix.T]
     inputs = {label: units["force"] * plain for label, plain in zip(labels, known, strict=True)}
     if base:

@@ -31,9 +31,9 @@ from ._assembly import (
 )
 from ._equations import as_index, as_vector
 
-_SHIFT = 1e-8  # below zero, in the middle of the squared frequencies that each displacement has alone
-_DENSE = 200  # displacements, up to which all modes are as fast
-_SAME = 1e-6  # relative difference of squared frequencies that says nothing
+_SHIFT = 1e-8  # shift below zero over the median of K_ii / M_ii
+_DENSE = 200  # displacements up to which a dense solver is as fast
+_SAME = 1e-6  # relative difference of squared frequencies that is rounding
 
 
 def mass_spring_damper(
@@ -428,7 +428,7 @@ def _by_lanczos(M: csc_matrix, K: csc_matrix, count: int, shift: float) -> tuple
         raise ModelError(f"the lowest {count} modes did not converge: {error}") from error
     order = np.argsort(squares)
     squares, shapes = squares[order], shapes[:, order]
-    # none is left out where as many lie below the last as were found there (Sylvester)
+    # check: the number of modes below the last one, by Sylvester's law of inertia
     last = squares[-1] - _SAME * (squares[-1] - shift)
     if _negative(K - last * M) != int((squares < last).sum()):
         raise ModelError(f"a mode below {np.sqrt(squares[-1]):g} rad/s was missed; ask for other n_modes")
