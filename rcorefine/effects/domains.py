@@ -193,7 +193,7 @@ def kind_named(name: Any) -> str:
         return name
     message = f"unknown kind of effect {name!r}"
     if isinstance(name, str) and name.strip():
-        words, known = _plain(name), _known()
+        words, known = _plain(name), _kinds_by_name()
         if words in known:
             return known[words]
         # names that contain these words, else those spelled like it
@@ -204,7 +204,7 @@ def kind_named(name: Any) -> str:
 
 
 @cache
-def _known() -> dict[str, str]:
+def _kinds_by_name() -> dict[str, str]:
     """Return the kind of each key and of each name in the words of a domain."""
     # keys first; a printed name never replaces one
     known = {_plain(kind): kind for kind in KINDS}

@@ -229,7 +229,7 @@ class Tape:
     def take(self, name: str, *given: Any) -> Number:
         """An operation, carried out as far as its numbers are known."""
         # all numbers known: carry it out now
-        numbers = tuple(one if isinstance(one, Symbolic) else _known(one) for one in given)
+        numbers = tuple(one if isinstance(one, Symbolic) else _finite_number(one) for one in given)
         if not any(isinstance(one, Symbolic) for one in numbers):
             try:
                 return float(_KNOWN.get(name, getattr(math, name, None))(*numbers))  # type: ignore[misc]
@@ -332,7 +332,7 @@ class Tape:
         if self._answers is None or len(self._answers) > _MOST_BRANCHES:
             raise Untraceable("the value of a number decides")
         # a comparison is known by its text
-        numbers = [one if isinstance(one, Symbolic) else _known(one) for one in (a, b)]
+        numbers = [one if isinstance(one, Symbolic) else _finite_number(one) for one in (a, b)]
         text = f"{self.name(numbers[0])} {relation} {self.name(numbers[1])}"
         if text not in self._answers:
             raise _Fork(text, numbers)
@@ -405,7 +405,7 @@ class Tape:
         return str(given[0]) if kind == "symbol" else f"t{value.at}"
 
 
-def _known(value: Any) -> float:
+def _finite_number(value: Any) -> float:
     """A number of Python or numpy."""
     if isinstance(value, np.ndarray) and value.ndim:
         raise Untraceable("an array where a number was")

@@ -125,7 +125,7 @@ class FormulaLaw(Law):
         return frozenset(self.constants) - frozenset(self.adjustable)
 
     @cached_property
-    def _made(self) -> dict[bytes, tuple[int, Any]]:
+    def _codes(self) -> dict[bytes, tuple[int, Any]]:
         """Codes of the law for each set of values that it has read.
 
         Kernels may still hold an old one. The key b"" is that of code that calls the law as it stands.
@@ -153,7 +153,7 @@ class FormulaLaw(Law):
     @property
     def code(self) -> int:
         """Code of the law as it is now, valid in this process only."""
-        made, law, slopes = self._made, self.law, self.slopes
+        made, law, slopes = self._codes, self.law, self.slopes
         # the law is compiled anew when constants that it reads have changed
         read = b"" if b"" in made else read_by(law, slopes)
         if read not in made:

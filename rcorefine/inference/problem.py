@@ -244,7 +244,7 @@ class Problem:
 
         With a gain (n, n_y) an observer corrects the state, and the residual holds its innovations.
         """
-        if self._cache is not None and _same((point, gain), self._cache[:2]):
+        if self._cache is not None and _equal((point, gain), self._cache[:2]):
             return self._cache[2]
         theta, starts = self.unpack(point)
         rows, blocks, places, finite = [], [], [], True
@@ -443,7 +443,7 @@ class Problem:
         return sizes
 
 
-def _same(one: Sequence[Array | None], other: Sequence[Array | None]) -> bool:
+def _equal(one: Sequence[Array | None], other: Sequence[Array | None]) -> bool:
     """Return whether arrays are equal, pair by pair; None equals None only."""
     return all(
         a is b or (a is not None and b is not None and np.array_equal(a, b))
@@ -623,7 +623,7 @@ class Descent:
 
     def known(self, problem: Problem, gain: Array | None) -> Evaluation | None:
         """Its evaluation, if it is one of this problem led by this gain."""
-        return self.evaluation if self.problem is problem and _same((gain,), (self.gain,)) else None
+        return self.evaluation if self.problem is problem and _equal((gain,), (self.gain,)) else None
 
     def blocks(self, problem: Problem) -> list[tuple[Array, Array]]:
         """Return the residual and the Jacobian of each record.

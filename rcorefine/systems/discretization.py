@@ -69,7 +69,7 @@ def discretize(A: ArrayLike, B: ArrayLike, dt: float, hold: str = "zoh") -> tupl
     [0.125 0.5  ] [0. 0.]
     """
     as_choice(hold, "hold", HOLDS)
-    a, b = _checked(A, B)
+    a, b = _check_matrices(A, B)
     step = check_sampling_time(dt)
     n, n_w = b.shape
     if n == 0:
@@ -125,7 +125,7 @@ def check_sampling_time(dt: object) -> float:
     return as_number(dt, "the sampling time", above=0.0, what="a time in seconds", error=ModelError)
 
 
-def _checked(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
+def _check_matrices(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
     """Give A and B as finite float arrays of fitting size."""
     a, b = np.array(A, dtype=float), np.array(B, dtype=float)
     if a.ndim != 2 or a.shape[0] != a.shape[1]:
