@@ -15,8 +15,8 @@ from ..systems.linear import Array
 from .formula import PortLaw
 from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, positive, register
 
-_SMALL = 0.03  # of the force that moves the port, to start from
-_PACES = (1.0, 4.0, 0.25)  # time constants, over that of the motion
+_SMALL = 0.03  # initial force over the force that moves the port
+_PACES = (1.0, 4.0, 0.25)  # initial time constants over that of the motion
 
 
 @register
@@ -48,7 +48,9 @@ class MaxwellElement(AbsorbedLaw):
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Add the stretch s of its spring."""
         stiffness, time_constant = values
+        # the spring pulls at the port with k s
         into.A[:, site.state] += stiffness * site.act
+        # ds/dt = v - s / T
         into.A[site.state] += site.velocity
         into.A[site.state, site.state] -= 1.0 / time_constant
         into.Bu[site.state] += site.velocity_input
@@ -57,7 +59,8 @@ class MaxwellElement(AbsorbedLaw):
         """One that relaxes as fast as the port moves, slower, and faster."""
         found = []
         for time in _times(seen):
-            stretch = time * _lagged(seen.v, time, seen.dt)
+            # spring force of 3 % of the force that moves the port
+            stretch = time * _lag(seen.v, time, seen.dt)
             found.append({"stiffness": _SMALL * seen.pull / _size(stretch), "time_constant": time})
         return found
 
@@ -93,17 +96,20 @@ class HiddenStore(AbsorbedLaw):
         The level is absolute, because the surroundings of the port do not affect it.
         """
         mass, damping = values
+        # flow into the store: c (v - z)
         flow = np.zeros(into.constant.size, into.A.dtype)
         flow[site.state] -= damping
         flow += damping * site.velocity
         into.A += np.outer(site.act, flow)
+        # m dz/dt = flow
         into.A[site.state] += flow / mass
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """One that follows as fast as the state changes, slower, and faster."""
         found = []
         for time in _times(seen):
-            damping = _SMALL * seen.pull / _size(seen.v - _lagged(seen.v, time, seen.dt))
+            # flow of 3 % of what moves the state
+            damping = _SMALL * seen.pull / _size(seen.v - _lag(seen.v, time, seen.dt))
             found.append({"mass": damping * time, "damping": damping})
         return found
 
@@ -113,12 +119,14 @@ def _times(seen: Seen) -> Iterator[float]:
 
     None is much shorter than a sample.
     """
+    # time scale of the motion: rms v over rms dv/dt
     pace = _size(seen.v - seen.v.mean()) / _size(np.gradient(seen.v, seen.dt))
     return (max(factor * pace, 0.3 * seen.dt) for factor in _PACES)
 
 
-def _lagged(signal: Array, time: float, dt: float) -> Array:
+def _lag(signal: Array, time: float, dt: float) -> Array:
     """A signal behind a lag that has settled to its first value."""
+    # exact recursion of a first-order lag for a held signal
     kept = float(np.exp(-dt / time))
     return np.asarray(lfilter([1.0 - kept], [1.0, -kept], signal, zi=[kept * signal[0]])[0])
 
@@ -133,7 +141,7 @@ class Gravity(PortLaw):
 
     coefficients = (Coefficient("torque", "force", explanation="m g l: torque of the weight, held level"),)
     constants = MappingProxyType({"tangent": 1.0})
-    from_zero = frozenset(["tangent"])  # a model that is linear about the lowest point has the slope already
+    from_zero = frozenset(["tangent"])  # a model linearized about the lowest point contains the slope
     formula = "f = t (sin(d) - (1 - tangent) d), d the angle from where it hangs in rad"
     explanation = "The weight at {place} pulls back by the sine of the angle, as at a pendulum (m g l sin)."
     belongs_to = "stiffness"
@@ -142,6 +150,7 @@ class Gravity(PortLaw):
     @staticmethod
     def law(d, torque, tangent):  # type: ignore[no-untyped-def]
         """Formula."""
+        # tangent = 1: the whole sine; 0: the sine without its slope at d = 0
         return torque * (math.sin(d) - (1.0 - tangent) * d)
 
 
@@ -157,16 +166,18 @@ class Cogging(PortLaw):
     formula = "f = a sin(2 pi d/P) + b (cos(2 pi d/P) - 1)"
     explanation = "The force at {place} repeats with the position: cogging of a motor, ripple of gears."
     belongs_to = "stiffness"
-    on_request = True  # its period is many valleys where the drawing does not tell it
+    on_request = True  # the cost has many local minima over the period: it must be known
 
     @staticmethod
     def law(d, sine, cosine, period):  # type: ignore[no-untyped-def]
         """Formula."""
+        # zero at d = 0, so that the coefficients do not change the rest position
         angle = 2.0 * math.pi * d / period
         return sine * math.sin(angle) + cosine * (math.cos(angle) - 1.0)
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Shares of the way that the record shows."""
+        # whole numbers of cogs within the range of the motion
         way = float(np.ptp(seen.d))
         return [{"period": way / q} for q in (2.0, 4.0, 8.0, 16.0, 32.0, 1.0)]
 
@@ -184,7 +195,7 @@ class MagneticForce(PortLaw):
     formula = "f = -k i^2/(gap - d)^2, i the input numbered `current` from 1"
     explanation = "A magnet pulls at {place}, by the square of its current over the square of its distance."
     belongs_to = "stiffness"
-    on_request = True  # which input is the current, and how far the magnet is, nobody can guess
+    on_request = True  # the input that is the current, and the distance of the magnet, must be known
 
     @staticmethod
     def law(d, w, strength, gap, current):  # type: ignore[no-untyped-def]
@@ -212,11 +223,13 @@ class Mass(AbsorbedLaw):
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Add t to the inertia along the port."""
         (t,) = values
+        # act = -1/m, so the inertia 1 becomes 1 + t/m; inputs that accelerate the port move the mass too
         into.inertia -= t * np.outer(site.act, site.velocity)
         into.Bu += t * np.outer(site.act, site.acceleration_input)
 
     def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
         """Something is left that moves."""
+        # the mass at the port stays positive
         return -structure.inertia(place) * (1 - 1e-9), inf
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
@@ -254,21 +267,26 @@ class HiddenMode(AbsorbedLaw):
         """Add its stretch u and speed s: f = k u + c (v - s)."""
         mass, c, k = values
         stretch, speed = site.state, site.state + 1
+        # pull at the port: k u + c (v - s)
         pull = np.zeros(into.constant.size, into.A.dtype)
         pull[stretch] += k
         pull[speed] -= c
         pull += c * site.velocity
         into.A += np.outer(site.act, pull)
         into.Bu += c * np.outer(site.act, site.velocity_input)
+        # du/dt = v - s
         into.A[stretch] += site.velocity
         into.A[stretch, speed] -= 1.0
         into.Bu[stretch] += site.velocity_input
+        # m ds/dt = pull
         into.A[speed] += pull / mass
         into.Bu[speed] += c / mass * site.velocity_input
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """A mode at each of the highest peaks of the residual."""
+        # peaks of the residual, else a tenth of the Nyquist frequency
         turns = list(seen.peaks) or [0.1 * np.pi / seen.dt]
+        # 3 % of the moving mass, with a damping ratio of 3 %
         mass = 0.03 / (seen.mobility or 1.0)
         return [{"mass": mass, "damping": 0.06 * mass * o, "stiffness": mass * o**2} for o in turns]
 
@@ -313,9 +331,11 @@ class Entry(AbsorbedLaw):
         """Add t to the entry."""
         row, column = site.entry
         states = into.A.shape[0]
+        # entry of A or B
         if row < states:
             into.rates[row, column] += values[0]
             return
+        # entry of C or D: one more signal that the output reads
         read = np.zeros((into.output_gain.size, into.rates.shape[1] + 1 + states), into.A.dtype)
         read[row - states, column] = values[0]
         into.felt.append(read)
@@ -328,5 +348,6 @@ class Entry(AbsorbedLaw):
         """A decay does not turn into growth."""
         row, column = structure.model.entry(place)
         base = structure.linear_model
+        # a negative entry on the diagonal (decay) stays negative
         rate = float(base.A[row, row]) if row == column < base.n_states else 0.0
         return -inf, -rate if rate < 0 else inf

@@ -16,6 +16,7 @@ from .formula import FADED, FormulaLaw, InputLaw, OutputLaw
 from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, delays, positive, register
 
 
+# common parts of the laws at inputs and outputs
 class _ChannelGain(AbsorbedLaw):
     """Gain of a channel."""
 
@@ -27,6 +28,7 @@ class _ChannelGain(AbsorbedLaw):
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Scale the channel."""
         if "input" in self.where:
+            # u = Uw [w; 1]
             into.Uw[site.channel, site.channel] += values[0]
         else:
             into.output_gain[site.channel] += values[0]
@@ -75,6 +77,7 @@ class _Lag(AbsorbedLaw):
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Put a state between the channel and the model."""
+        # the engine connects the added state, dr/dt = (w - r) / T
         lags = into.input_lags if "input" in self.where else into.output_lags
         lags.append((site.channel, site.state, values[0]))
 
@@ -83,6 +86,7 @@ class _Lag(AbsorbedLaw):
         return [{"time_constant": q * seen.dt} for q in (1.0, 5.0, 25.0)]
 
 
+# laws at inputs
 @register
 class InputGain(_ChannelGain):
     """Actuator that acts more strongly."""
@@ -135,6 +139,7 @@ class InputSmoothing(InputLaw):
     @staticmethod
     def law(w, z_start, step, time_constant):  # type: ignore[no-untyped-def]
         """Formula."""
+        # pole of the recursion; a time constant far below the step does not smooth
         T = time_constant
         kept = math.exp(-step / T) if T > 1e-3 * step else 0.0
         r = w + kept * (z_start - w)
@@ -142,6 +147,7 @@ class InputSmoothing(InputLaw):
 
     def unseen(self, dt: float, *values: float) -> float:
         """Samples until what was before has faded."""
+        # exp(-t / T) is the share FADED
         return -float(np.log(FADED)) * values[0] / dt
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
@@ -171,6 +177,7 @@ class InputDeadzone(InputLaw):
 
         The lower one is for an input that has only two levels.
         """
+        # thresholds at quantiles of the amplitude
         w = np.abs(seen.signal[seen.signal != 0])
         levels = np.quantile(w, [0.2, 0.2, 0.4, 0.6]) * [0.5, 1.0, 1.0, 1.0] if w.size else [0.1]
         return [{"threshold": float(q)} for q in levels]
@@ -195,6 +202,7 @@ class InputSaturation(InputLaw):
 
         The lower one is for an input that has only two levels.
         """
+        # limits at quantiles of the amplitude
         levels = np.quantile(np.abs(seen.signal), [0.97, 0.85, 0.6]) * [1.0, 1.0, 0.7]
         return [{"limit": float(q)} for q in levels]
 
@@ -211,7 +219,7 @@ class InputRange(InputLaw):
     formula = "w -> min(max(w, low), high)"
     explanation = "The input {place} has two limits: nothing below one and nothing above the other acts."
     secant = True
-    on_request = True  # a limit of either direction, or an offset before it, says as much of most records
+    on_request = True  # most records do not distinguish it from saturation with an offset
     contains = MappingProxyType({"input_saturation": {}})
 
     @staticmethod
@@ -221,6 +229,7 @@ class InputRange(InputLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Levels that the input passes in both directions, or in one."""
+        # quantiles of the signal for both limits
         tails = (0.05, 0.95), (0.2, 0.8), (0.0, 0.85), (0.15, 1.0)
         return [dict(zip(("low", "high"), np.quantile(seen.signal, q).tolist(), strict=True)) for q in tails]
 
@@ -244,6 +253,7 @@ class InputPower(InputLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Squares and roots about the size of the command."""
+        # level: the rms of the command, where a power changes least
         rms = float(np.sqrt(np.mean(seen.signal**2)))
         return [{"power": p, "level": rms} for p in (2.0, 0.6, 1.4)]
 
@@ -274,6 +284,7 @@ class InputPlay(InputLaw):
     @staticmethod
     def law(w, z_start, gap):  # type: ignore[no-untyped-def]
         """Formula."""
+        # the output stays within the gap of the input
         r = min(max(z_start, w - gap), w + gap)
         return r, r
 
@@ -301,12 +312,16 @@ class InputRateLimit(InputLaw):
     @staticmethod
     def law(w, z_start, step, held, rate):  # type: ignore[no-untyped-def]
         """Formula."""
+        # largest move within the step
         gap, reach = w - z_start, rate * step
         r = z_start + min(reach, max(-reach, gap))
+        # straight command: value at the end of the step
         if held == 0.0:
             return r, r
+        # held command, reached within the step: mean over the step
         if abs(gap) < reach:
             return w - 0.5 * gap * abs(gap) / reach, r
+        # held command, not reached: mean of start and end
         return 0.5 * (z_start + r), r
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
@@ -315,6 +330,7 @@ class InputRateLimit(InputLaw):
         They are taken over one sample and over stretches between steps.
         """
         found = []
+        # rates over 64 to 1 samples, of steps and of slopes
         for samples in (64, 16, 4, 1):
             rates = np.abs(seen.signal[samples:] - seen.signal[:-samples]) / (samples * seen.dt)
             rates = rates[rates > 0]
@@ -323,9 +339,10 @@ class InputRateLimit(InputLaw):
         return found or [{"rate": 1.0}]
 
 
-_SMALL = 1e-4  # of a phase, and of a window in samples: below it, series
+_SMALL = 1e-4  # phase in radians, and window in samples, below which power series are used
 
 
+# laws at outputs
 @register
 class OutputGain(_ChannelGain):
     """Sensor that reads larger."""
@@ -365,6 +382,7 @@ class OutputAverage(_Delay, OutputLaw):
 
     def response(self, omega: Array, value: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return (1 - exp(-j omega T)) / (j omega T) and its derivative by T."""
+        # transfer function of the moving average; power series where omega T is small
         turn = -1j * np.asarray(omega) * value
         small = np.abs(turn) < _SMALL
         safe = np.where(small, 1.0, turn)
@@ -375,15 +393,18 @@ class OutputAverage(_Delay, OutputLaw):
     def later(self, course: CubicSpline, value: float) -> tuple[Array, Array]:
         """Return the mean over the window, from the integral of the spline."""
         t, area = course.x, course.antiderivative()
+        # before the record the output stood at its first value
         first, then = np.minimum(t - value, 0.0), np.maximum(t - value, 0.0)
         over = (slice(None), *[None] * (course.c.ndim - 2))
         if value < _SMALL * (t[1] - t[0]):
             return course(t), -0.5 * course(t, 1)
+        # mean = (integral to t - integral to t - T) / T, and its derivative by T
         mean = (area(t) - area(then) - first[over] * course(0.0)) / value
         return mean, (course(then) - mean) / value
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """As late, on average, as a dead time."""
+        # a moving average of length T delays by T / 2
         return [{"window": 2.0 * start["delay"]} for start in delays(seen)]
 
 
@@ -412,6 +433,7 @@ class OutputSaturation(OutputLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Limits at the top of the record, and below."""
+        # limits just below the largest value
         top = float(np.abs(seen.signal).max())
         return [{"limit": q * top} for q in (0.995, 0.9)]
 
@@ -436,6 +458,7 @@ class OutputRange(OutputLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """The ends of the record, and where noise upon it would have its limits."""
+        # quantiles of the signal: the extremes, or inside of the noise on them
         tails = (0.0, 1.0), (0.05, 0.95), (0.05, 1.0), (0.0, 0.95)
         return [dict(zip(("low", "high"), np.quantile(seen.signal, q).tolist(), strict=True)) for q in tails]
 
@@ -452,11 +475,13 @@ class OutputSmoothing(OutputLaw):
     @staticmethod
     def law(y, y_start, z_start, kept):  # type: ignore[no-untyped-def]
         """Formula; the inner state is what the reading is ahead of the signal."""
+        # r(k) = t r(k-1) + (1 - t) y(k), with r(k-1) = y(k-1) + z(k-1)
         r = y + kept * (y_start + z_start - y)
         return r, r - y
 
     def unseen(self, dt: float, *values: float) -> float:
         """Readings until the first has faded."""
+        # kept^k is the share FADED
         return float(np.log(FADED) / np.log(np.clip(values[0], 1e-3, 0.999)))
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
@@ -476,6 +501,7 @@ class OutputPlay(OutputLaw):
     @staticmethod
     def law(y, z_start, gap):  # type: ignore[no-untyped-def]
         """Formula."""
+        # the reading stays within the gap of the signal
         r = min(max(z_start, y - gap), y + gap)
         return r, r
 
@@ -517,6 +543,7 @@ class OutputRectification(OutputLaw):
         return [{"fraction": q} for q in (0.9, 0.2)]
 
 
+# clocks
 @register
 class Clock(AbsorbedLaw):
     """Slow clock: all rates of the model appear larger by one factor."""
@@ -535,6 +562,7 @@ class Clock(AbsorbedLaw):
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Speed up all states."""
+        # dx/dt = (1 + t) (A x + B w)
         into.pace = into.pace + values[0]
 
 
@@ -567,8 +595,10 @@ class ClocksApart(AbsorbedLaw):
 
         The clock of the inputs does not change the matrices.
         """
+        # the drift between the clocks acts on the inputs, see `engine.inputs`
         into.pace = into.pace + values[1]
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Either clock may be the right one."""
+        # the scanned drift, with either clock as the slow one
         return [{"apart": a, "slow": slow} for a in seen.drifts for slow in (a, 0.0)]

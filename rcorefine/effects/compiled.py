@@ -29,10 +29,10 @@ MAX_COEFFICIENTS: Final = 4
 COUNT: Final = 18  # numbers that a law writes, before the derivatives by the inputs
 # where a law writes the derivatives of its force and of its inner state by what it takes
 _SLOTS: Final = {"d": (1, 6), "v": (2, 17), "d_start": (3, 7), "z_start": (4, 8)}
-_FOREVER: Final = 1e200  # s: a signal that has stood at its first value
+_FOREVER: Final = 1e200  # seconds for which a signal had its first value before the record
 
 _PLAIN: dict[int, Callable[..., None]] = {}  # laws by code, where nothing is compiled
-_PENDING: list[BaseException] = []  # raised by laws that numba cannot compile, inside a kernel
+_PENDING: list[BaseException] = []  # exceptions of laws that are called in Python from a kernel
 
 if NUMBA:
 
@@ -58,6 +58,7 @@ if NUMBA:
             Row i on return: f, its derivatives by d, v, d_start, z_start; z, its derivatives by d,
             d_start, z_start; derivatives of f and of z by four coefficients each; of z by v; of f by w.
         """
+        # addresses of the rows of the arrays, 8 bytes a number
         call_at(
             code, d, v, d_start, z_start, values.ctypes.data + 8 * i * values.shape[1], width,
             w.ctypes.data, w.shape[0], out.ctypes.data + 8 * i * out.shape[1],
@@ -93,16 +94,20 @@ def address(of: FormulaLaw, read: bytes, *, cache: bool) -> tuple[tuple[int, Any
         Whether it calls the law as it stands, with what that reads then.
     """
     law, slopes = of.law, of.slopes
-    if slopes is None and read:  # otherwise its constants may change without notice
-        with suppress(Exception):  # symbols go through a user's code: what that raises is not foreseeable
+    # traced formula: exact derivatives
+    if slopes is None and read:  # the values that it reads are known
+        with suppress(Exception):  # the user's code may raise anything when it gets symbols
             return _exact(of, cache), False
+    # otherwise the law's own slopes, or central differences
     source = _by_differences(of) if slopes is None else _by_slopes(of)
-    plain = _defined(source, {"law": law, "slopes": slopes, "carray": lambda w, n: w}, law)
+    plain = _define(source, {"law": law, "slopes": slopes, "carray": lambda w, n: w}, law)
+    # without numba the law is called in Python
     if not NUMBA:
         return code_of(plain), True
+    # numba compiles it; a law that it cannot compile is called in Python
     try:
         names = {"law": compiled_law(law), "slopes": None if slopes is None else compiled_law(slopes)}
-        fast = _defined(source, {**names, "carray": None}, law, read)
+        fast = _define(source, {**names, "carray": None}, law, read)
         return code_of(plain, fast, cache=cache and bool(read)), False
     except TypeError as error:
         warn(
@@ -144,6 +149,7 @@ def code_of(
 def _lines_before(of: FormulaLaw) -> list[str]:
     """Return the first lines of the function that writes the row of numbers."""
     lines = ["def evaluate(_d, _v, _d_start, _z_start, _p, _width, _w, _nw, _out):"]
+    # arguments of the law: from the row of coefficients, or from the signals
     for name in of.arguments:
         where = "carray(_w, _nw)" if of.signals.get(name) == "w" else f"_{of.signals.get(name)}"
         lines.append(f"{name} = " + (f"_p[{of.row.index(name)}]" if name in of.row else where))
@@ -152,6 +158,7 @@ def _lines_before(of: FormulaLaw) -> list[str]:
 
 def _slots(of: FormulaLaw) -> dict[str, tuple[int, int]]:
     """Return the places of the derivatives of force and inner state."""
+    # signals first, then coefficients
     slots = {name: _SLOTS[of.signals[name]] for name in of.arguments if of.signals.get(name) in _SLOTS}
     return slots | {
         name: (9 + at, 13 + at) for at, name in enumerate(of.row) if name in of.arguments or of.scaled
@@ -184,6 +191,7 @@ def _by_differences(of: FormulaLaw) -> str:
     lines += ["_out[9] = _f"] * of.scaled + ["_out[5] = _z"] * memory
 
     def differences(name: str, by_f: str, by_z: str, indent: str = "") -> list[str]:
+        # step of 1e-6 of the argument, central difference
         found = [f"_at, _h = {name}, 1e-6 * max(abs({name}), 1e-3)"]
         for side, sign in (("up", "+"), ("low", "-")):
             found += [f"{name} = _at {sign} _h", f"{pair.format(f'_{side}_')} = {_call(of)}"]
@@ -207,6 +215,7 @@ def _exact(of: FormulaLaw, cache: bool) -> tuple[int, Any]:
     Exception
         Whatever comes of a formula that cannot be traced, or not truly.
     """
+    # a symbol for each argument of the law
     tape, traced, slots = Tape(), tracing(of.law), _slots(of)
     given = {name: tape.symbol(f"a_{name}") for name in (*of.arguments, *slots)}
     placed = [given[name] for name in of.arguments if name not in of.by_name]
@@ -218,6 +227,7 @@ def _exact(of: FormulaLaw, cache: bool) -> tuple[int, Any]:
         found = as_numbers(traced(*placed, **{name: given[name] for name in of.by_name}))
         return [given[of.row[0]] * found[0]] if of.scaled else found
 
+    # code of force and inner state, then of their derivatives by each argument
     def written(found: list[Number], done: set[int]) -> list[str]:
         if len(found) != 1 + of.inner_states:
             raise Untraceable(f"{len(found)} values")
@@ -231,22 +241,24 @@ def _exact(of: FormulaLaw, cache: bool) -> tuple[int, Any]:
         return lines + entries
 
     source = "\n    ".join([first, *read, *tape.branches(formula, written)])
-    plain = in_python(lambda functions: _defined(source, {"math": functions}, of.law))
+    plain = in_python(lambda functions: _define(source, {"math": functions}, of.law))
+    # safeguard against a wrong trace: compare with the formula
     if not _agrees(plain, of):
         raise Untraceable("the code gives other values than the formula")
-    return code_of(plain, _defined(source, {}, of.law), cache=cache)
+    return code_of(plain, _define(source, {}, of.law), cache=cache)
 
 
 def _agrees(plain: Callable[..., None], of: FormulaLaw) -> bool:
     """Return whether the code of a law agrees with its formula."""
+    # random points
     points, agreed = np.random.default_rng(0).normal(size=(8, 2, MAX_COEFFICIENTS)), False
     for signals, numbers in points:
-        told, row = dict(zip(_SLOTS, signals.tolist(), strict=True)), np.abs(numbers)
+        point, row = dict(zip(_SLOTS, signals.tolist(), strict=True)), np.abs(numbers)
         given = {name: float(row[of.row.index(name)]) for name in of.arguments if name in of.row}
-        given |= {n: told.get(of.signals[n], 1.0) for n in of.arguments if n not in given}
+        given |= {n: point.get(of.signals[n], 1.0) for n in of.arguments if n not in given}
         placed = [given[name] for name in of.arguments if name not in of.by_name]
         out = np.zeros(COUNT)
-        plain(*told.values(), row, 1.0, np.zeros(0), 0, out)
+        plain(*point.values(), row, 1.0, np.zeros(0), 0, out)
         try:
             expected = np.ravel(of.law(*placed, **{name: given[name] for name in of.by_name})).astype(float)
         except (ArithmeticError, ValueError):
@@ -258,7 +270,7 @@ def _agrees(plain: Callable[..., None], of: FormulaLaw) -> bool:
     return agreed
 
 
-def _defined(
+def _define(
     source: str, names: dict[str, Any], law: Callable[..., Any], key: bytes = b""
 ) -> Callable[..., None]:
     """Return the function that a source text defines.
@@ -266,6 +278,7 @@ def _defined(
     It is placed in the file of its law, so that numba caches it there. Numba's cache does not look at
     constants; so the function's name has a digest of its text and of `key`, all that it reads beside.
     """
+    # line numbers of the law, so that error messages and caches point to it
     code = getattr(getattr(law, "py_func", law), "__code__", None)
     file, line = ("<law>", 1) if code is None else (code.co_filename, code.co_firstlineno)
     scope = {"math": math, **names}
@@ -328,12 +341,15 @@ def through(code, values, signal, slopes, value, own, step, held, settled):  # t
     z, last = 0.0, signal[0]
     own_z, before_z, before = np.zeros(own.shape[0]), np.zeros(q), slopes[:, 0].copy()
     for k in range(signal.size):
+        # before the first sample the signal stood at its first value
         lasts = _FOREVER if k < settled else step
         evaluate(code, signal[k], held, last, z, values, 0, lasts, nothing, out)
         value[k] = out[0, 0]
+        # derivatives by the coefficients, carried on through the inner state
         for c in range(own.shape[0]):
             own[c, k] = out[0, 9 + c] + out[0, 4] * own_z[c]
             own_z[c] = out[0, 13 + c] + out[0, 8] * own_z[c]
+        # chain rule: by the signal now, the signal before and the inner state
         for r in range(q):
             now = slopes[r, k]
             slopes[r, k] = out[0, 1] * now + out[0, 3] * before[r] + out[0, 4] * before_z[r]
@@ -353,5 +369,6 @@ def forces_along(code, d, v, w, values, width, found):  # type: ignore[no-untype
     for k in range(d.size):
         evaluate(code, d[k], v[k], last, z, values, 0, width, w[k], out)
         z, last = out[0, 5], d[k]
+        # derivative by a coefficient: the force per unit of it
         for c in range(found.shape[0]):
             found[c, k] = out[0, 9 + c]

@@ -12,9 +12,10 @@ import numpy as np
 from .formula import PortLaw
 from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, nominal_is_left, positive, register
 
-ROOT_WIDTH = 1e-3  # of the rms level: a root has no slope at zero
+ROOT_WIDTH = 1e-3  # smoothing width of a root over the rms level, since a root has no slope at zero
 
 
+# flows out of a store
 @register
 class SqrtFlow(PortLaw):
     """Orifice."""
@@ -31,6 +32,7 @@ class SqrtFlow(PortLaw):
     @staticmethod
     def law(v, flow, width):  # type: ignore[no-untyped-def]
         """Formula."""
+        # v / (v^2 + width^2)^(1/4): the root, smooth at zero
         return flow * v / math.sqrt(math.sqrt(v * v + width * width)) if v > 0.0 else 0.0
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
@@ -57,6 +59,7 @@ class ThresholdFlow(PortLaw):
     @staticmethod
     def law(v, flow, threshold):  # type: ignore[no-untyped-def]
         """Formula."""
+        # no flow below the threshold
         return flow * max(0.0, v - threshold)
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
@@ -65,6 +68,7 @@ class ThresholdFlow(PortLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Rims that the level reaches."""
+        # thresholds at quantiles of the level
         return [{"threshold": float(q)} for q in np.quantile(seen.v, [0.7, 0.9, 0.5])]
 
 
@@ -109,6 +113,7 @@ class ExponentialLoss(PortLaw):
     @staticmethod
     def law(v, flow, scale):  # type: ignore[no-untyped-def]
         """Formula."""
+        # the exponent is limited, so that the search cannot overflow
         return flow * math.copysign(math.exp(min(v / scale, 40.0)) - 1.0, v)
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
@@ -118,6 +123,7 @@ class ExponentialLoss(PortLaw):
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Shares of the largest value on either side."""
         sides = float(seen.v.max()), float(seen.v.min())
+        # scales from the largest and the smallest value, for a junction of either direction
         return [{"scale": q * side} for q in (0.15, 0.4) for side in sides if side]
 
 
@@ -133,7 +139,7 @@ class Radiation(PortLaw):
     from_zero = frozenset(["temperature"])  # of a state that is an absolute temperature itself
     formula = "f = t ((T0 + x)^4 - T0^4), T0 the absolute `temperature` where x = 0"
     explanation = "Heat is radiated at {place}, by the fourth power of the absolute temperature."
-    on_request = True  # only who knows that the state is a temperature can say so
+    on_request = True  # the state must be known to be a temperature
 
     @staticmethod
     def law(v, radiation, temperature):  # type: ignore[no-untyped-def]
@@ -144,6 +150,7 @@ class Radiation(PortLaw):
         )  # hot^4 - cold^4, without cancellation
 
 
+# dampers
 @register
 class Damping(AbsorbedLaw):
     """Change of a damper, or of a loss in proportion."""
@@ -161,6 +168,7 @@ class Damping(AbsorbedLaw):
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Add t v to the force at the port."""
+        # f = t v, by all signals that make up the velocity
         into.rates += values[0] * site.by_velocity
 
     def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
@@ -192,6 +200,7 @@ class AsymmetricDamping(PortLaw):
     @staticmethod
     def law(v, damping_plus, damping_minus):  # type: ignore[no-untyped-def]
         """Formula."""
+        # one rate for each direction
         return (damping_plus if v > 0.0 else damping_minus) * v
 
 
@@ -216,6 +225,7 @@ class QuadraticDamping(PortLaw):
     @staticmethod
     def law(v, quadratic_damping):  # type: ignore[no-untyped-def]
         """Formula."""
+        # v |v| opposes the motion in both directions
         return quadratic_damping * v * abs(v)
 
 
@@ -270,8 +280,10 @@ class PowerDamping(PortLaw):
     @staticmethod
     def law(v, damping, power, width):  # type: ignore[no-untyped-def]
         """Formula."""
+        # |v|^p sgn(v) = v (v^2 + width^2)^((p - 1) / 2), smooth at zero
         return damping * v * math.exp((0.5 * power - 0.5) * math.log(max(v * v + width * width, 1e-300)))
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Between and beyond the exponents that have a law of their own."""
+        # exponents between those of the laws that it contains
         return [{"power": p} for p in (1.5, 0.5, 2.5)]

@@ -17,6 +17,7 @@ from .law import KINDS
 #: Words of a domain, which the words of a law ask for; a law that asks for more keeps its own.
 DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
+        # motion in a line: the words of the laws themselves
         "mechanical": {},
         "rotational": {
             "force": "torque",
@@ -25,6 +26,7 @@ DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "spring": "torsional stiffness",
             "constant": "constant torque",
         },
+        # a state of unknown kind
         "first_order": {
             "force": "flow",
             "state": "state",
@@ -33,6 +35,7 @@ DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "store": "storage",
             "constant": "constant loss",
         },
+        # electrical analogies: voltage as the force on a current, current as the force on a voltage
         "current": {
             "force": "voltage",
             "state": "current",
@@ -53,6 +56,7 @@ DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
             "store": "capacitance",
             "constant": "constant current",
         },
+        # thermal and hydraulic: flow as the force on a temperature or a level
         "thermal": {
             "force": "heat flow",
             "state": "temperature",
@@ -71,6 +75,7 @@ DOMAINS: Mapping[str, Mapping[str, str]] = MappingProxyType(
         },
     }
 )
+# domain by the first word of a port's name
 _OF_NAME = {
     "speed": "mechanical",
     "velocity": "mechanical",
@@ -82,6 +87,7 @@ _OF_NAME = {
     "current": "current",
     "voltage": "voltage",
 }
+# domain by the unit of a first-order state
 _OF_STATE = {
     "A": "current",
     "V": "voltage",
@@ -89,7 +95,7 @@ _OF_STATE = {
     "degC": "thermal",
     "°C": "thermal",
     "m": "hydraulic",
-    "m/s": "mechanical",  # a speed whose position is no state
+    "m/s": "mechanical",  # speed without a position among the states
     "km/h": "mechanical",
 }
 
@@ -118,10 +124,13 @@ def domain_of(kind: str, velocity_unit: str, name: str = "") -> str:
     >>> domain_of("first_order", "", "level2"), domain_of("first_order", "", "x1")
     ('hydraulic', 'first_order')
     """
+    # angular velocity
     if velocity_unit == "rpm" or velocity_unit in [f"{angle}/s" for angle in ("rad", "rev", "deg")]:
         return "rotational"
     if kind == "mechanical":
+        # a charge whose rate is a current
         return "current" if velocity_unit == "A" else kind
+    # the name counts only without a unit
     first = re.split(r"[^a-z]", name.lower())[0] if not velocity_unit else ""
     return _OF_NAME.get(first) or _OF_STATE.get(velocity_unit, kind)
 
@@ -148,6 +157,7 @@ def worded(template: str, domain: str) -> str:
     ('quadratic heat loss', '')
     """
     words = DOMAINS[domain]
+    # words that the template asks for
     asked = {name for _, name, _, _ in Formatter().parse(template) if name} - {"place"}
     return template.format(place="{place}", **words) if asked and asked <= set(words) else ""
 
@@ -181,20 +191,22 @@ def kind_named(name: Any) -> str:
     """
     if isinstance(name, str) and name in KINDS:
         return name
-    said = f"unknown kind of effect {name!r}"
+    message = f"unknown kind of effect {name!r}"
     if isinstance(name, str) and name.strip():
-        words, known = _plain(name), _known()
+        words, known = _plain(name), _kinds_by_name()
         if words in known:
             return known[words]
+        # names that contain these words, else those spelled like it
         near = [each for each in known if words in each] or get_close_matches(words, known)
         near = list(dict.fromkeys(known[each] for each in near))[:3]
-        said += f"; near it: {', '.join(near)}" if near else ""
-    raise ct.ControlArgument(f"{said}; the kinds are {', '.join(KINDS)}")
+        message += f"; near it: {', '.join(near)}" if near else ""
+    raise ct.ControlArgument(f"{message}; the kinds are {', '.join(KINDS)}")
 
 
 @cache
-def _known() -> dict[str, str]:
+def _kinds_by_name() -> dict[str, str]:
     """Return the kind of each key and of each name in the words of a domain."""
+    # keys first; a printed name never replaces one
     known = {_plain(kind): kind for kind in KINDS}
     for kind, law in KINDS.items():
         printed = (_plain(worded(law.words[0], domain)) for domain in DOMAINS)

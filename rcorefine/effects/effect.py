@@ -109,6 +109,7 @@ class Effect:
         law: Callable[..., Any] | None = None,
         name: str | None = None,
     ) -> None:
+        # law given as a class of the user
         if isinstance(law, type) and issubclass(law, Law):
             kind, law = _own_kind(kind, law)
         else:
@@ -123,6 +124,7 @@ class Effect:
         own: Any = law if isinstance(law, type) and issubclass(law, Law) else None
         if law is not None and own is None and not KINDS[kind].needs_law:
             raise ct.ControlArgument(f"law= is for kind 'custom' only (and 'tabulated'), not for {kind!r}")
+        # an effect is immutable: its attributes are set once, past __setattr__
         store = object.__setattr__
         store(self, "kind", kind)
         store(self, "place", place)
@@ -131,16 +133,19 @@ class Effect:
         store(self, "name", name)
         for key, values in (("start", start), ("fixed", fixed), ("prior", prior)):
             store(self, f"_{key}", as_mapping(values, f"{key} of {kind} at {place}", "numbers"))
+        # the catalogue's law, or the one that the user's function defines
         label = f"{kind} effect at {place}"
         spec = instance_of(own) if own else KINDS[kind].of(law, tuple(self._start), label)
         store(self, "spec", spec)
         self._check_values()
+        # functions that a saved file may name later, see `law_here`
         if inspect.isfunction(plain := _plain(law)):
             _MADE.add(plain)
 
     def _check_values(self) -> None:
         coefficients = self.coefficients
         constants = self.spec.adjustable
+        # names that each argument may hold
         allowed = {"start": coefficients, "fixed": coefficients + constants, "prior": coefficients}
         for argument, names in allowed.items():
             values: dict[str, float] = getattr(self, "_" + argument)
@@ -151,14 +156,17 @@ class Effect:
                 number = as_number(value, where, error=ModelError)
                 if argument == "prior" and number <= 0:
                     raise ModelError(f"{where} is a standard deviation and must be positive, not {number}")
+                # constants are scales, and therefore positive
                 if argument == "fixed" and key in constants and not number > 0:
                     if number or key not in self.spec.from_zero:
                         raise ModelError(f"{where} must be positive, not {number}")
+                # values within the bounds of the law
                 if argument != "prior" and key in coefficients:
                     lower, upper = self.bounds(key)
                     if not lower <= number <= upper:
                         raise ModelError(f"{where} = {number:g} is outside [{lower:g}, {upper:g}]")
                 values[key] = number
+        # coefficients that are ordered, such as static above Coulomb force
         known = {**self._start, **self._fixed}
         for larger, smaller in self.spec.order:
             if larger in known and smaller in known and known[larger] < known[smaller]:
@@ -166,6 +174,7 @@ class Effect:
                     f"{larger} = {known[larger]:g} of {self.kind} at {self.place} is below {smaller} = "
                     f"{known[smaller]:g}; it is at least as large"
                 )
+        # a coefficient is either held or estimated
         twice = sorted(set(self._fixed) & (set(self._start) | set(self._prior)))
         if twice and self.kind != Custom.name:
             raise ModelError(
@@ -280,6 +289,7 @@ class Effect:
             Given or default start value.
         """
         as_choice(coefficient, f"coefficient of {self.label}", self.coefficients)
+        # held value, else the given start, else the default of the law
         if coefficient in self._fixed:
             return self._fixed[coefficient]
         if coefficient in self._start:
@@ -303,6 +313,7 @@ class Effect:
         return _restore(given | changes, self._domain)
 
     def _key(self) -> tuple[Any, ...]:
+        # starts and priors do not make another effect
         return (self.kind, self.place, tuple(sorted(self._fixed.items())), self.law, self.name)
 
     def __eq__(self, other: object) -> bool:
@@ -319,7 +330,7 @@ class Effect:
 
     def __reduce__(self) -> tuple[Any, ...]:
         own = type(self.spec)
-        # a class brings itself along, where the other side may not know it yet
+        # pickle the class of the law, which the other process may not have registered
         law = self.law if self.law is not None or own.__module__.startswith(__package__) else own
         given = {name: getattr(self, name) for name in ARGUMENTS} | {"law": law}
         return (_restore, (given, self._domain))
@@ -413,8 +424,10 @@ def import_path(effect: Effect) -> str:
     inside = own.__module__.split(".")[0] == __name__.split(".")[0]
     law: Any = effect.law if effect.law is not None or inside else own
     module, name = getattr(law, "__module__", None), getattr(law, "__qualname__", None)
+    # laws of this package need no path
     if law is None or not module or not name:
         return ""
+    # does the path lead to this very object?
     found: Any = sys.modules.get(module)
     for part in name.split("."):
         found = getattr(found, part, None)
@@ -446,11 +459,13 @@ def law_here(path: str, label: str) -> Any:
     """
     module, _, name = path.partition(":")
     found: Any = sys.modules.get(module)
+    # without lazy attributes, so that no code of the module runs
     for part in name.split("."):
         found = inspect.getattr_static(found, part, None)
         found = found.__func__ if isinstance(found, staticmethod) else found
     plain = _plain(found)
     ours = plain in _MADE if inspect.isfunction(plain) else isinstance(plain, type) and issubclass(plain, Law)
+    # neither the standard library nor this package holds laws of a user
     library = module.split(".")[0] in sys.stdlib_module_names | {__name__.split(".")[0]}
     if library or not ours or (plain.__module__, plain.__qualname__) != (module, name):
         raise ModelError(
@@ -467,7 +482,7 @@ def module_of(name: str) -> str:
     return name
 
 
-_SHARP = 1e-300  # width of a jump that is none
+_SHARP = 1e-300  # width of a jump that is practically zero
 
 
 def unit_forces(
@@ -499,15 +514,18 @@ def unit_forces(
     list of ndarray, or None
         None for a law that is not a force along a motion.
     """
+    # operating point: subtract force and tangent there, the tangent by central differences
     if rest is not None and effect.spec.signal != "constant":
         sizes = np.abs([rest[0] or np.abs(d).max(initial=0.0), rest[1]]) * (not effect.spec.linear)
         steps = 1e-5 * sizes * (not effect.spec.inner_states)
         near = np.array(rest)[:, None] + steps[:, None] * [[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]]
         per, moved = 0.5 * steps / np.maximum(steps, 1e-150) ** 2, np.hstack([near, [d, v]])
-        whole = unit_forces(effect, moved[0], moved[1], shapes)  # none feels inputs at a point
+        # at an operating point no law takes the inputs
+        whole = unit_forces(effect, moved[0], moved[1], shapes)
         above = moved[:, 5:] - near[:, :1]
         return whole and [f[5:] - f[0] - (f[[1, 3]] - f[[2, 4]]) * per @ above for f in whole]
     law, simple = effect.spec, {"displacement": d, "velocity": v, "constant": np.ones(v.size)}
+    # linear in one signal: that signal itself
     if law.signal in simple:
         return [np.asarray(simple[law.signal], dtype=float)]
     if not isinstance(law, PortLaw) or law.needs_starts or (law.feels_inputs and w is None):
@@ -515,6 +533,7 @@ def unit_forces(
     # a copy: a read-only view would have the kernel compiled once more
     inputs = np.zeros((d.size, 0)) if w is None else np.array(w.T, order="C")
     d, v, columns = np.ascontiguousarray(d, dtype=float), np.ascontiguousarray(v, dtype=float), list[Array]()
+    # one column for each coefficient that scales the force, in each shape
     for shape in shapes if law.shaping else [{}]:
         values = {**law.constants, **effect.fixed, **shape}
         if not law.shaping <= values.keys():

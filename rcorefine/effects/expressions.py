@@ -23,11 +23,11 @@ import numpy as np
 OF_NUMPY = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh"}
 OF_NUMPY |= {"atan2": "arctan2", "pow": "power"}
 _LIBRARIES = sys.stdlib_module_names | {"numpy", "scipy", "numba"}
-_QUIET = SimpleNamespace(  # math without errors
+_QUIET = SimpleNamespace(  # functions of math that return inf and NaN
     **{name: getattr(np, OF_NUMPY.get(name, name), None) for name in dir(math) if not name.startswith("_")}
 )
-_MOST_BRANCHES = 6  # comparisons on one way through a function
-_MOST = 20_000  # operations: beyond, straight-line code takes longer to compile than it saves
+_MOST_BRANCHES = 6  # most comparisons on one path through a function
+_MOST = 20_000  # most operations; longer code takes more time to compile than it saves
 
 
 class Untraceable(TypeError):
@@ -38,6 +38,7 @@ class _Fork(BaseException):  # no `except Exception` of the traced function may 
     """The function compares two values, and the answer is not known."""
 
 
+# operators of a symbol: each adds an operation to the tape
 def _operation(name: str, swapped: bool = False) -> Callable[[Symbolic, Any], Number]:
     def taken(self: Symbolic, other: Any) -> Number:
         return self.tape.take(name, *((other, self) if swapped else (self, other)))
@@ -78,6 +79,7 @@ class Symbolic:
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *given: Any, **more: Any) -> Any:
         if method != "__call__" or more:
             raise Untraceable(f"{ufunc.__name__} {method}")
+        # an array with symbols: entry by entry
         if any(isinstance(one, np.ndarray) for one in given):
             return ufunc(*(_entry(one) if isinstance(one, Symbolic) else one for one in given))
         function = as_numpy_calls(ufunc.__name__)
@@ -122,6 +124,7 @@ def _both(name: str, *given: Any) -> Number:
     return Tape().take(name, *given) if tape is None else tape.take(name, *given)
 
 
+# extremes of numbers of which some are symbols
 def maximum(*given: Any) -> Number:
     """The largest of some numbers."""
     return reduce(partial(_both, "max"), given)  # type: ignore[no-any-return]
@@ -162,6 +165,7 @@ _SLOPES: Final[Mapping[str, Callable[[Any, Any], Number]]] = {
     "log": lambda u, v: 1.0 / u,
     "log1p": lambda u, v: 1.0 / (1.0 + u),
     "sqrt": lambda u, v: 0.5 / v,
+    # slope of the absolute value: 1 where u >= 0, else -1
     "fabs": lambda u, v: _both("pick", u, 0.0, 1.0, -1.0),
 }
 
@@ -172,6 +176,7 @@ _BY_NUMPY: Final[Mapping[str, str]] = {
     "absolute": "fabs",
     **{"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "power": "**", "float_power": "**"},
 }
+# functions that are made of others
 _COMPOSED: Final[Mapping[str, Callable[..., Any]]] = {
     **dict.fromkeys(["maximum", "fmax"], maximum),
     **dict.fromkeys(["minimum", "fmin"], minimum),
@@ -211,6 +216,7 @@ class Tape:
     """
 
     def __init__(self) -> None:
+        # operations in order, their places, known derivatives, answers to comparisons
         self._made: list[tuple[str, tuple[Number | str, ...]]] = []
         self._known: dict[Any, int] = {}
         self._slopes: dict[tuple[int, int], Number] = {}
@@ -222,16 +228,19 @@ class Tape:
 
     def take(self, name: str, *given: Any) -> Number:
         """An operation, carried out as far as its numbers are known."""
-        numbers = tuple(one if isinstance(one, Symbolic) else _known(one) for one in given)
+        # all numbers known: carry it out now
+        numbers = tuple(one if isinstance(one, Symbolic) else _finite_number(one) for one in given)
         if not any(isinstance(one, Symbolic) for one in numbers):
             try:
                 return float(_KNOWN.get(name, getattr(math, name, None))(*numbers))  # type: ignore[misc]
             except (ArithmeticError, ValueError) as error:
                 raise Untraceable(str(error)) from error
-        simple = _simplified(name, numbers)
+        # rules such as x + 0 = x and x * 1 = x
+        simple = _simplify(name, numbers)
         return self._keep(name, numbers) if simple is None else simple
 
     def _keep(self, name: str, given: tuple[Any, ...]) -> Symbolic:
+        # the same operation is kept once (common subexpression)
         key = (name, *(("t", one.at) if isinstance(one, Symbolic) else one for one in given))
         if key not in self._known:
             if len(self._made) >= _MOST:
@@ -250,7 +259,7 @@ class Tape:
     def _derivative(self, value: Number, by: int) -> Number:
         if not isinstance(value, Symbolic):
             return 0.0
-        # in the order of the tape, for a long sum is deeper than Python can call
+        # forward differentiation in the order of the tape, for a long sum is deeper than Python can call
         for at in self._below(value.at):
             if (at, by) not in self._slopes:
                 self._slopes[at, by] = self._slope(at, by)
@@ -269,13 +278,16 @@ class Tape:
     def _slope(self, at: int, by: int) -> Number:
         name, given = self._made[at]
         if name == "symbol":
+            # dx/dx = 1
             return 1.0 if at == by else 0.0
         slopes = [self._slopes[one.at, by] if isinstance(one, Symbolic) else 0.0 for one in given]
+        # chain rule: df(u) = f'(u) du
         here, a, da = Symbolic(self, at), given[0], slopes[0]
         if name in _SLOPES:
             return 0.0 if is_number(da, 0.0) else self.take("*", _SLOPES[name](a, here), da)
         if name == "pick":
             return self.take("pick", a, given[1], slopes[2], slopes[3])
+        # product rule, quotient rule and so on
         b, db = given[1], slopes[1]
         match name:
             case "+" | "-":
@@ -283,7 +295,8 @@ class Tape:
             case "*":
                 return self.take("+", self.take("*", da, b), self.take("*", a, db))
             case "/":
-                over = self.take("/", 1.0, b)  # once for all slopes: a division takes long
+                # d(a / b) = (da - (a / b) db) / b
+                over = self.take("/", 1.0, b)  # one division for all slopes
                 return self.take("*", self.take("-", da, self.take("*", here, db)), over)
             case "atan2":
                 crossed = self.take("-", self.take("*", da, b), self.take("*", a, db))
@@ -292,6 +305,7 @@ class Tape:
                 return self.take("pick", a, b, da, db)
             case "min":
                 return self.take("pick", b, a, da, db)
+        # d(a^b) = b a^(b - 1) da + a^b log(a) db
         found: Number = 0.0  # of a power
         if not is_number(da, 0.0):
             found = self.take("*", self.take("*", b, self.take("**", a, self.take("-", b, 1.0))), da)
@@ -306,9 +320,10 @@ class Tape:
         """
         done = set() if done is None else done
         lines = []
+        # only operations that the wanted values need, in order
         for at in self._below(*(one.at for one in wanted if isinstance(one, Symbolic))):
             if at not in done and self._made[at][0] != "symbol":
-                lines.append(f"t{at} = {self._written(at)}")
+                lines.append(f"t{at} = {self._as_code(at)}")
             done.add(at)
         return lines
 
@@ -316,7 +331,8 @@ class Tape:
         """Return the answer to a comparison on the way that `branches` follows."""
         if self._answers is None or len(self._answers) > _MOST_BRANCHES:
             raise Untraceable("the value of a number decides")
-        numbers = [one if isinstance(one, Symbolic) else _known(one) for one in (a, b)]
+        # a comparison is known by its text
+        numbers = [one if isinstance(one, Symbolic) else _finite_number(one) for one in (a, b)]
         text = f"{self.name(numbers[0])} {relation} {self.name(numbers[1])}"
         if text not in self._answers:
             raise _Fork(text, numbers)
@@ -332,6 +348,7 @@ class Tape:
 
         `written` returns the code for what the function returns on one way through it, as `code` does.
         """
+        # follow one way; at an unknown comparison branch, and call the function again for both answers
         known, self._answers = self._answers, dict(self._answers or {})
         here = set(done)
         try:
@@ -340,6 +357,7 @@ class Tape:
             text, numbers = fork.args
         finally:
             answers, self._answers = self._answers, known
+        # operations before the comparison, then one branch each
         lines = self.code(numbers, here)
         for answer, word in ((True, f"if {text}:"), (False, "else:")):
             self._answers = answers | {text: answer}
@@ -360,6 +378,7 @@ class Tape:
     def _poles(self, value: Number) -> set[int]:
         """Operations by whose result a value divides, and powers in it."""
         found: set[int] = set()
+        # divisions, logarithms and powers may have no finite slope
         for at in self._below(value.at) if isinstance(value, Symbolic) else ():
             name, given = self._made[at]
             operand = {"/": given[-1], "log": given[0], "**": Symbolic(self, at)}.get(name)
@@ -367,7 +386,7 @@ class Tape:
                 found.add(operand.at)
         return found
 
-    def _written(self, at: int) -> str:
+    def _as_code(self, at: int) -> str:
         name, given = self._made[at]
         words = [self.name(one) for one in given]  # type: ignore[arg-type]
         if name in ("+", "-", "*", "/"):
@@ -386,7 +405,7 @@ class Tape:
         return str(given[0]) if kind == "symbol" else f"t{value.at}"
 
 
-def _known(value: Any) -> float:
+def _finite_number(value: Any) -> float:
     """A number of Python or numpy."""
     if isinstance(value, np.ndarray) and value.ndim:
         raise Untraceable("an array where a number was")
@@ -401,7 +420,7 @@ def is_number(value: Number, number: float) -> bool:
     return not isinstance(value, Symbolic) and value == number
 
 
-def _simplified(name: str, given: tuple[Number, ...]) -> Number | None:
+def _simplify(name: str, given: tuple[Number, ...]) -> Number | None:
     """Return the simplified result of an operation, or None.
 
     Known numbers can make an operation simple.
@@ -417,12 +436,14 @@ def _simplified(name: str, given: tuple[Number, ...]) -> Number | None:
         case "-":
             return a if is_number(b, 0.0) else 0.0 if _same(a, b) else None
         case "*":
+            # a product with zero
             if is_number(a, 0.0) or is_number(b, 0.0):
                 return 0.0
             return b if is_number(a, 1.0) else a if is_number(b, 1.0) else None
         case "/":
             return 0.0 if is_number(a, 0.0) else a if is_number(b, 1.0) else None
-        case "**" if any(is_number(b, whole) for whole in range(5)):  # quicker than a power, and at any sign
+        # small whole powers as products: faster than a power, and valid for negative bases
+        case "**" if any(is_number(b, whole) for whole in range(5)):
             return reduce(operator.mul, [a] * int(b), 1.0)
     return None
 
@@ -438,6 +459,7 @@ def in_python(built: Callable[[Any], Callable[..., None]]) -> Callable[..., None
 
     ``built(math)`` makes the function, which writes to its last argument.
     """
+    # first with errors of math; where one occurs, again with inf and NaN of numpy
     quick, quiet = built(math), built(_QUIET)
 
     def call(*given: Any) -> None:
@@ -489,6 +511,7 @@ class _Replacing:
 
     def of(self, value: Any) -> Any:
         """Return the replacement of a value that a function names."""
+        # methods and partial functions: replace what they call
         if isinstance(value, MethodType):
             return MethodType(self.of(value.__func__), value.__self__)
         if isinstance(value, partial):
@@ -499,11 +522,13 @@ class _Replacing:
             return _NUMPY
         if id(value) in _PYTHON:
             return _PYTHON[id(value)]
+        # functions of math and numpy by name
         name = str(getattr(value, "__name__", ""))
         for module, stand in ((math, _MATH), (np, _NUMPY)):
             if name and vars(module).get(name) is value:
                 return getattr(stand, name)
         value = getattr(value, "py_func", value)
+        # other values stay as they are
         if not isinstance(value, FunctionType) or (value.__module__ or "").partition(".")[0] == "numpy":
             return value
         if id(value) not in self._made:
@@ -513,19 +538,21 @@ class _Replacing:
     def _function(self, function: FunctionType) -> None:
         scope = {"__builtins__": builtins, **_REPLACED}
         cells = tuple(CellType() for _ in function.__closure__ or ())
+        # same code, with globals and closures that are replaced
         made = FunctionType(function.__code__, scope, function.__name__, function.__defaults__, cells)
         made.__kwdefaults__ = function.__kwdefaults__
-        self._made[id(function)] = made  # before what it names, which may be itself
+        self._made[id(function)] = made  # before its globals, since it may call itself
         for cell, before in zip(cells, function.__closure__ or (), strict=True):
             cell.cell_contents = self.of(before.cell_contents)
         for name, value in function.__globals__.items():
             if name != "__builtins__":
-                scope[name] = self.of(value) if name in _named(function) else value
+                scope[name] = self.of(value) if name in _names_in(function) else value
 
 
-def _named(function: FunctionType) -> set[str]:
+def _names_in(function: FunctionType) -> set[str]:
     """Names that the code uses, with those of functions inside it."""
     found: set[str] = set()
+    # code of nested functions is among the constants
     waiting = [function.__code__]
     while waiting:
         code = waiting.pop()
@@ -556,23 +583,28 @@ def read_by(*functions: Any) -> bytes:
     waiting: list[tuple[Any, list[str]]] = [(one, []) for one in functions]
     while waiting:
         value, names = waiting.pop()
+        # numba's functions: their Python code
         value = getattr(value, "py_func", value)
+        # functions, modules and classes of the user: their parts
         if isinstance(value, (FunctionType, MethodType, ModuleType, type)):
             home = str(getattr(value, "__module__", None) or value.__name__).partition(".")[0]
             if id(value) not in done and home not in _LIBRARIES:
                 done.add(id(value))
                 waiting += _parts(value, names)
+        # bytecode, its names and constants
         elif isinstance(value, CodeType):
             found.append(value.co_code)
             waiting += [(one, names) for one in (value.co_names, *value.co_consts)]
-        elif callable(value):  # of numpy or numba; an object may do what its values do not tell
+        # callables of numpy or numba by name; the values of another callable object are not enough
+        elif callable(value):
             if not hasattr(value, "__name__"):
                 return b""
             found.append(value.__name__.encode())
         else:
+            # values by their pickled bytes
             try:
                 found.append(pickle.dumps(value))
-            except Exception:  # what a user's object raises is not foreseeable
+            except Exception:  # a user's object may raise anything
                 return b""
     return b"".join(found)
 
@@ -583,7 +615,7 @@ def _parts(value: Any, names: list[str]) -> list[tuple[Any, list[str]]]:
         return [(value.__func__, names), (value.__self__, names)]
     if not isinstance(value, FunctionType):
         return [(getattr(value, name), names) for name in names if hasattr(value, name)]
-    names = sorted(_named(value))
+    names = sorted(_names_in(value))
     parts = [value.__code__, value.__defaults__, value.__kwdefaults__]
     parts += [cell.cell_contents for cell in value.__closure__ or ()]
     parts += [value.__globals__[name] for name in names if name in value.__globals__]
@@ -599,6 +631,7 @@ class _Math:
             return plain
 
         def taken(*given: Any) -> Any:
+            # plain numbers: the function of math itself
             if not any(isinstance(one, Symbolic) for one in given):
                 return plain(*given)
             ufunc = getattr(np, OF_NUMPY.get(name, name), None)
@@ -615,6 +648,7 @@ class _Numpy:
     def __getattr__(self, name: str) -> Any:
         found = getattr(np, name)
         clip = name == "clip"
+        # numpy's functions on arrays of objects work entry by entry
         function = (lambda x, low, high: minimum(maximum(x, low), high)) if clip else as_numpy_calls(name)
         if function is not None:
             return partial(_entry_by_entry, function, found)

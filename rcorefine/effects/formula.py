@@ -18,7 +18,7 @@ from .compiled import MAX_COEFFICIENTS, address, raise_pending, through
 from .expressions import read_by
 from .law import Law
 
-FADED = 1e-3  # of what was before a record: as good as forgotten
+FADED = 1e-3  # share of the state before a record that may be neglected
 
 
 class FormulaLaw(Law):
@@ -56,13 +56,16 @@ class FormulaLaw(Law):
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        # formulas take no self, because numba compiles them
         for key in ("law", "slopes", "rate"):
             if inspect.isfunction(vars(cls).get(key)):
                 raise ct.ControlArgument(f"{key} of {cls.__name__} is no static method: write @staticmethod")
         law = vars(cls).get("law")
         if isinstance(law, staticmethod):
+            # names of the arguments tell which signals the law takes
             names = tuple(inspect.signature(law.__func__).parameters)
             cls._learn(cls, names, "needs" in vars(cls))
+            # only shape coefficients: the effect has no value at which it is absent
             if "secant" not in vars(cls) and cls.where & {"input", "output"}:
                 cls.secant = all(coefficient.shapes for coefficient in cls.coefficients)
 
@@ -70,6 +73,7 @@ class FormulaLaw(Law):
     def _learn(law: Any, names: tuple[str, ...], needs_known: bool) -> None:
         """Tell from the names of the arguments what the law takes."""
         law.arguments = names
+        # an inner state is told by its argument
         law.inner_states = int("z_start" in names)
         if not needs_known:
             sensed = {"position": {"d", "d_start"}, "velocity": {"v"}}
@@ -85,15 +89,18 @@ class FormulaLaw(Law):
             If the formula takes a name that is no coefficient, constant or signal, leaves one out,
             or there are too many.
         """
+        # each argument is a coefficient, a constant or a signal
         for name in self.arguments:
             if name not in (*self.row, *self.signals):
                 raise ct.ControlArgument(
                     f"the formula of {self.name} takes {name!r}, which is none of its coefficients and "
                     f"constants ({', '.join(self.row) or 'none'}) nor of {', '.join(self.signals)}"
                 )
+        # each coefficient is an argument
         unused = [name for name in self.row if name not in self.arguments and not self.scaled]
         if unused and self.arguments:
             raise ct.ControlArgument(f"the formula of {self.name} does not take {', '.join(unused)}")
+        # a coefficient without default needs an initial guess from the record
         unknown = [c.name for c in self.coefficients if c.default_start is None]
         if unknown and type(self).starts is Law.starts:
             raise ct.ControlArgument(
@@ -118,7 +125,7 @@ class FormulaLaw(Law):
         return frozenset(self.constants) - frozenset(self.adjustable)
 
     @cached_property
-    def _made(self) -> dict[bytes, tuple[int, Any]]:
+    def _codes(self) -> dict[bytes, tuple[int, Any]]:
         """Codes of the law for each set of values that it has read.
 
         Kernels may still hold an old one. The key b"" is that of code that calls the law as it stands.
@@ -146,11 +153,12 @@ class FormulaLaw(Law):
     @property
     def code(self) -> int:
         """Code of the law as it is now, valid in this process only."""
-        made, law, slopes = self._made, self.law, self.slopes
+        made, law, slopes = self._codes, self.law, self.slopes
+        # the law is compiled anew when constants that it reads have changed
         read = b"" if b"" in made else read_by(law, slopes)
         if read not in made:
-            found, live = address(self, read, cache=not made)  # a sweep leaves no file for each value
-            if not live and read_by(law, slopes) != read:  # the law itself changes what it reads
+            found, live = address(self, read, cache=not made)  # later versions are not cached on disk
+            if not live and read_by(law, slopes) != read:  # the law changes the values that it reads
                 found, live = address(self, b"", cache=False)[0], True
             read = b"" if live else read
             made[read] = found
@@ -187,6 +195,7 @@ class FormulaLaw(Law):
         response, slope : ndarray
             Frequency response, and its derivative by the coefficient.
         """
+        # dead time T: exp(-j omega T) and its derivative by T
         late = np.exp(-1j * omega * value)
         return late, -1j * omega * late
 
@@ -236,6 +245,7 @@ class FormulaLaw(Law):
         """
         # a copy: a read-only view would have the kernel compiled once more
         signal = np.array(signal, dtype=float, order="C")
+        # one row of coefficients, as the kernels take them
         row = np.zeros((1, MAX_COEFFICIENTS))
         row[0, : len(values)] = values
         passed = np.zeros((0, signal.size)) if slopes is None else np.array(slopes, dtype=float)
@@ -298,6 +308,7 @@ class OutputLaw(FormulaLaw):
         values, slope : ndarray, shape (N, ...)
             Signal behind the effect, and its derivative by the coefficient.
         """
+        # before the delay has passed, the first value; no derivative there
         time = np.maximum(course.x - value, 0.0)
         moving = (course.x > value).reshape(-1, *[1] * (course.c.ndim - 2))
         return course(time), -course(time, 1) * moving

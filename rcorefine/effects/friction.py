@@ -11,11 +11,12 @@ import numpy as np
 from .formula import PortLaw
 from .law import Coefficient, Seen, positive, register
 
-# the width over which sgn(v) is smoothed is fixed, because a free one only fits noise
-SIGN_WIDTH = 0.005  # of the rms velocity
-SEEN_TO_FADE = (3.0, 1e5)  # widths of sgn(v): from where that has turned over to far beyond the motion
+# the smoothing width of sgn(v) is fixed, because a free one would only fit noise
+SIGN_WIDTH = 0.005  # width over the rms velocity
+SEEN_TO_FADE = (3.0, 1e5)  # bounds of a fading velocity in widths of sgn(v)
 
 
+# friction without memory: force by velocity alone
 @register
 class CoulombFriction(PortLaw):
     """Dry friction of one level."""
@@ -37,6 +38,7 @@ class CoulombFriction(PortLaw):
     @staticmethod
     def law(v, force, width):  # type: ignore[no-untyped-def]
         """Formula."""
+        # sgn(v) smoothed to tanh(v / width)
         return force * math.tanh(v / width)
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
@@ -55,7 +57,7 @@ class SmoothFriction(PortLaw):
             "velocity",
             "velocity",
             "speed at which it has reached three quarters of that",
-            widths=(20.0, 1000.0),  # below it is a jump, above a damper
+            widths=(20.0, 1000.0),  # below the bounds it is a jump, above them a damper
             shapes=True,
         ),
     )
@@ -74,6 +76,7 @@ class SmoothFriction(PortLaw):
     @staticmethod
     def law(v, force, velocity):  # type: ignore[no-untyped-def]
         """Formula."""
+        # sgn(v) with a width that is estimated
         return force * math.tanh(v / velocity)
 
     def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
@@ -82,6 +85,7 @@ class SmoothFriction(PortLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Widths about that of the motion."""
+        # widths around the rms velocity
         rms = float(np.sqrt(np.mean(seen.v**2)))
         return [{"velocity": q * rms} for q in (1.0, 0.3, 3.0)]
 
@@ -112,6 +116,7 @@ class AsymmetricFriction(PortLaw):
     @staticmethod
     def law(v, force_plus, force_minus, width):  # type: ignore[no-untyped-def]
         """Formula."""
+        # one level for each direction
         return (force_plus if v > 0.0 else force_minus) * math.tanh(v / width)
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
@@ -119,6 +124,7 @@ class AsymmetricFriction(PortLaw):
 
         From zero, a push in one direction and a brake in the other can fit equally well.
         """
+        # no friction, and friction of 5 and 20 % of the force that moves the port
         return [{"force_plus": q * seen.pull, "force_minus": q * seen.pull} for q in (0.0, 0.05, 0.2)]
 
 
@@ -158,6 +164,7 @@ class StribeckFriction(PortLaw):
     @staticmethod
     def law(v, coulomb_force, static_force, velocity, width):  # type: ignore[no-untyped-def]
         """Formula."""
+        # Stribeck effect: the excess at breakaway fades as a Gaussian of the velocity
         fading = math.exp(-((v / velocity) ** 2))
         return math.tanh(v / width) * (coulomb_force + (static_force - coulomb_force) * fading)
 
@@ -171,6 +178,7 @@ class StribeckFriction(PortLaw):
         ]
 
 
+# friction with the load
 @register
 class LoadFriction(PortLaw):
     """Dry friction under a load that the deflection brings."""
@@ -184,7 +192,7 @@ class LoadFriction(PortLaw):
         "Dry friction at {place} grows with the load that its deflection brings: leaf springs, wedges, gears."
     )
     belongs_to = "stiffness"
-    on_request = True  # who knows that the load is this deflection can say so
+    on_request = True  # the load must be known to come from this deflection
     jumps = True
     turns = True
     width_share = SIGN_WIDTH
@@ -192,9 +200,11 @@ class LoadFriction(PortLaw):
     @staticmethod
     def law(d, v, load_friction, width):  # type: ignore[no-untyped-def]
         """Formula."""
+        # Coulomb friction with the normal force |d|
         return load_friction * abs(d) * math.tanh(v / width)
 
 
+# friction with an inner state: presliding displacement
 @register
 class Hysteresis(PortLaw):
     """Dahl's law: presliding and slip."""
@@ -225,6 +235,7 @@ class Hysteresis(PortLaw):
     @staticmethod
     def law(d, d_start, z_start, force, displacement):  # type: ignore[no-untyped-def]
         """Formula."""
+        # Dahl's equation dz/ds = 1 - z sgn(v), solved exactly over the step; z scaled to 1 at slip
         side = math.copysign(1.0, d - d_start)
         z = side + (z_start - side) * math.exp(-abs(d - d_start) / displacement)
         return force * z, z
@@ -232,11 +243,13 @@ class Hysteresis(PortLaw):
     @staticmethod
     def rate(d, v, z, force, displacement):  # type: ignore[no-untyped-def]
         """Of the inner state."""
+        # dz/dt = (v - |v| z) / D
         return (v - abs(v) * z) / displacement
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Presliding in shares of the motion."""
         rms = float(np.sqrt(np.mean(seen.d**2)))
+        # presliding displacements around a third of the rms displacement
         return [{"displacement": q * rms} for q in (0.3, 0.05, 1.0)]
 
 
@@ -287,7 +300,9 @@ class LugreFriction(PortLaw):
     @staticmethod
     def law(v, d, d_start, z_start, force, static_ratio, velocity, displacement):  # type: ignore[no-untyped-def]
         """Formula."""
+        # Stribeck curve: level at which the bristles slip
         level = 1.0 + (static_ratio - 1.0) * math.exp(-((v / velocity) ** 2))
+        # the same solution as Dahl's, with the level in place of 1
         end = math.copysign(level, d - d_start)
         z = end + (z_start - end) * math.exp(-abs(d - d_start) / (displacement * level))
         return force * z, z
@@ -301,6 +316,7 @@ class LugreFriction(PortLaw):
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Presliding and fading in shares of the motion."""
         d, v = (float(np.sqrt(np.mean(s**2))) for s in (seen.d, seen.v))
+        # pairs of presliding displacement and fading velocity, in shares of the rms
         pairs = ((0.05, 0.3), (0.3, 0.3), (0.05, 0.1))
         return [{"static_ratio": 1.5, "velocity": q * v, "displacement": p * d} for p, q in pairs]
 
@@ -318,11 +334,12 @@ class Play(PortLaw):
     belongs_to = "stiffness"
     inner_states = 1
     contains = MappingProxyType({"stiffness": {"gap": 0.0}})
-    on_request = True  # beside a spring it is slip behind a spring: hysteresis says that already
+    on_request = True  # in parallel to a spring it is hysteresis
 
     @staticmethod
     def law(d, z_start, stiffness, gap):  # type: ignore[no-untyped-def]
         """Formula."""
+        # play operator: z stays within the gap of d
         z = min(max(z_start, d - gap), d + gap)
         return stiffness * z, z
 

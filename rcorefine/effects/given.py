@@ -22,7 +22,8 @@ from ..systems.linear import Array
 from .formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
 from .law import Coefficient, register
 
-_POINTS = ((0.01, 0.02), (-0.3, 0.5), (0.7, -1.1), (0.0, 0.0))  # where a law is tried before it is compiled
+# test points (d, v) for a law before it is compiled
+_POINTS = ((0.01, 0.02), (-0.3, 0.5), (0.7, -1.1), (0.0, 0.0))
 
 
 @register
@@ -45,6 +46,7 @@ class Custom(PortLaw):
         """
         if not callable(law) or isinstance(law, type):
             raise ct.ControlArgument(f"{label} needs law=, a function law(d, v) that returns the force")
+        # its coefficients are those that have a starting value
         return custom_law(law, () if set(names) <= {"scale"} else names)
 
     @property
@@ -79,7 +81,8 @@ def custom_law(function: Callable[..., Any], names: tuple[str, ...]) -> Custom:
     control.ControlArgument
         If it takes something else.
     """
-    for name in names:  # they stand in the code that is compiled
+    # law with the arguments of this function
+    for name in names:  # the names become part of the compiled code
         if not name.isidentifier() or iskeyword(name):
             raise ct.ControlArgument(f"a coefficient has a Python name such as 'scale', not {name!r:.80}")
     law: Any = Custom()
@@ -88,8 +91,10 @@ def custom_law(function: Callable[..., Any], names: tuple[str, ...]) -> Custom:
     if names:
         law.coefficients = tuple(Coefficient(name, "") for name in names)
     found, law.by_name = _arguments(function, names)
+    # a trial call: compiled code could not report an error
     if {*found[2:]} <= {*names}:
         _try(function, found[2:])
+    # the first two arguments are d and v, whatever their names
     law._learn(law, (*found[2:],), True)
     law.arguments = found
     law.signals = {**PortLaw.signals, found[0]: "d", found[1]: "v"}
@@ -104,6 +109,7 @@ def _try(function: Callable[..., Any], names: tuple[str, ...]) -> None:
     """
     label, force = getattr(function, "__name__", function), math.nan
     failed: Exception | None = None
+    # one finite force at any of the points is enough
     for d, v in _POINTS:
         try:
             with np.errstate(all="ignore"):
@@ -133,6 +139,7 @@ def _arguments(
         given = list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):  # a function without a signature
         return ("d", "v", *names), frozenset()
+    # arguments by position and by name; *args and **kwargs accept any
     placed = [p for p in given if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
     rest = any(p.kind is p.VAR_POSITIONAL for p in given)
     anything = any(p.kind is p.VAR_KEYWORD for p in given)
@@ -141,6 +148,7 @@ def _arguments(
             f"the law {getattr(function, '__name__', function)!r} takes {len(placed)} arguments; "
             "it must take displacement and velocity, law(d, v)"
         )
+    # the first two are displacement and velocity, the others are told by name
     first = [p.name for p in placed[:2]] if len(placed) > 1 else ["d", "v"]
     others = [p for p in given if p.name not in first and p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
     known = {*names, *Custom.signals}
@@ -149,7 +157,8 @@ def _arguments(
     keyword = {p.name for p in others if p.kind is p.KEYWORD_ONLY and p.name in taken}
     keyword |= set(names) if anything else set()
     skipped = [p.name for p in others if p.name not in taken]
-    if skipped:  # a default that is kept stands before names that follow it
+    # arguments after one that keeps its default go by name
+    if skipped:  # an argument that keeps its default may come before them
         keyword |= set(taken)
     return (*first, *taken), frozenset(keyword)
 
@@ -191,12 +200,14 @@ class Table:
             name: as_array(x, f"{name} of a table", error=ModelError) for name, x in (("d", d), ("v", v))
         }
         values = as_array(force, "force of a table", error=ModelError)
+        # knots of one signal alone form a table of one row or column
         size = tuple(max(each.size, 1) for each in knots.values())
         for name, each in knots.items():
             if each.ndim != 1 or np.any(np.diff(each) <= 0):
                 raise ModelError(f"the knots {name} of a table must be a list of rising numbers, not {each}")
         if values.size != size[0] * size[1] or (values.ndim == 2 and values.shape != size):
             raise ModelError(f"force of a table has shape {values.shape}; its knots ask for {size}")
+        # a table is immutable
         store = object.__setattr__
         for name, each in knots.items():
             store(self, name, tuple(each.tolist()))
@@ -214,6 +225,7 @@ class Table:
         -------
         ndarray
         """
+        # bilinear interpolation between the knots
         d, v = np.broadcast_arrays(np.asarray(d, dtype=float), np.asarray(v, dtype=float))
         i, p = _cells(np.array(self.d), d)
         j, q = _cells(np.array(self.v), v)
@@ -242,6 +254,7 @@ def share_beyond(table: Table, d: Array, v: Array) -> float:
     out = np.zeros(d.shape, dtype=bool)
     for knots, x in ((table.d, d), (table.v, v)):
         if len(knots) > 1:
+            # rounding at the outer knots does not count
             slack = 1e-9 * (knots[-1] - knots[0])
             out |= (x < knots[0] - slack) | (x > knots[-1] + slack)
     return float(np.mean(out))
@@ -254,6 +267,7 @@ def _cells(knots: Array, x: Array) -> tuple[Any, Array]:
     """
     if knots.size < 2:
         return np.zeros(x.shape, dtype=int), np.zeros(x.shape)
+    # index of the cell, and position inside of it: below 0 or above 1 beyond the knots
     cell = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, knots.size - 2)
     return cell, (x - knots[cell]) / (knots[cell + 1] - knots[cell])
 
@@ -266,6 +280,7 @@ def _cell(table, first, n, x):  # type: ignore[no-untyped-def]
     """
     if n < 2:
         return 0, 0.0, 0.0
+    # linear search for the cell
     i = 0
     while i < n - 2 and x >= number_at(table, first + i + 1):
         i += 1
@@ -277,16 +292,19 @@ def _cell(table, first, n, x):  # type: ignore[no-untyped-def]
 @compiled_law
 def _looked_up(d, v, where):  # type: ignore[no-untyped-def]
     """Force of the table at an address, and its slopes."""
-    if not where > 0.0:  # no table lies nowhere
+    if not where > 0.0:  # address zero: no table
         return 0.0, 0.0, 0.0
+    # layout: n, m, knots of d, knots of v, forces row by row
     table = int(where)
     n, m = int(number_at(table, 0)), int(number_at(table, 1))
     i, p, p_rate = _cell(table, 2, n, d)
     j, q, q_rate = _cell(table, 2 + n, m, v)
     at = 2 + n + m + i * m + j
+    # step to the next row and to the next column
     down, right = m if n > 1 else 0, 1 if m > 1 else 0
     a, b = number_at(table, at), number_at(table, at + right)
     c, e = number_at(table, at + down), number_at(table, at + down + right)
+    # bilinear: along v in the rows below and above, then along d
     low, high = a + q * (b - a), c + q * (e - c)
     across = (b - a) + p * ((e - c) - (b - a))
     return low + p * (high - low), p_rate * (high - low), q_rate * across
@@ -296,6 +314,7 @@ def _looked_up(d, v, where):  # type: ignore[no-untyped-def]
 def _bent(x, scale, table):  # type: ignore[no-untyped-def]
     """Signal behind a curve, and its derivatives."""
     value, slope, _ = _looked_up(x, 0.0, table)
+    # value and slope of (1 - scale) x + scale table(x); by the scale; no derivative by the address
     return x + scale * (value - x), 1.0 + scale * (slope - 1.0), value - x, 0.0
 
 
@@ -353,6 +372,7 @@ class Tabulated(_OfTable, PortLaw):
 _WHOLE = Coefficient("scale", "1", default_start=1.0, explanation="1: the whole curve, 0: none of it")
 
 
+# curves of inputs and outputs
 @register
 class InputCurve(_OfTable, InputLaw):
     """Actuator with a tabulated curve."""
@@ -390,10 +410,12 @@ def _tabulated(name: str, table: Table) -> _OfTable:
     One of its constants is the address of its values, for the kernels.
     """
     law: Any = {kind.name: kind for kind in (Tabulated, InputCurve, OutputCurve)}[name]()
+    # table as one row of numbers; its address is a constant of the law
     size = [max(len(table.d), 1), max(len(table.v), 1)]
     knots = [table.d or (0.0,), table.v or (0.0,)]
     law.held, law.numbers = table, np.concatenate([size, *knots, np.ravel(table.force)])
     law.constants = {"table": float(law.numbers.ctypes.data)}
+    # a port needs the signals that the table depends on
     if not law.at_channel:
         sensed = [name for name, each in zip(("position", "velocity"), knots, strict=True) if len(each) > 1]
         law.needs = law.senses = frozenset(sensed)

@@ -67,6 +67,7 @@ def delays(seen: Seen) -> list[dict[str, float]]:
 
     From zero delay, a descent does not pass the first minimum of an oscillating signal.
     """
+    # a lag seen in the record, then half a sample to six samples
     late = [seen.lag] if seen.lag > 8.0 * seen.dt else []
     return [{"delay": value} for value in [*late, *(q * seen.dt for q in (0.5, 2.5, 6.0))]]
 
@@ -205,21 +206,25 @@ class Law:
         a signal: ``"deadzone"``, ``"saturation"``, ``"rectification"``.
     """
 
+    # name, places, coefficients
     name: ClassVar[str]
     where: ClassVar[frozenset[str]]
     coefficients: tuple[Coefficient, ...]
     constants: ClassVar[Mapping[str, float | None]] = MappingProxyType({})
     from_zero: ClassVar[frozenset[str]] = frozenset()
     linear: ClassVar[bool] = False
+    # formula and words
     formula: ClassVar[str]
     explanation: ClassVar[str]
     domains: ClassVar[frozenset[str]] = frozenset()
     words: ClassVar[tuple[str, str]] = ("", "")
+    # what it feels of its place, and states of its own
     needs: ClassVar[frozenset[str]] = frozenset()
     senses: ClassVar[frozenset[str]] = frozenset()
     inner_states: ClassVar[int] = 0
     order: ClassVar[tuple[tuple[str, str], ...]] = ()
     powers: ClassVar[tuple[tuple[str, str], ...]] = ()
+    # the parameter that it changes
     belongs_to: ClassVar[str] = "damping"
     is_parameter: ClassVar[bool] = False
     may_wear: ClassVar[bool] = False
@@ -227,31 +232,38 @@ class Law:
     inertial: ClassVar[bool] = False
     holds_constant: ClassVar[bool] = False
     on_request: ClassVar[bool] = False
+    # relation to other laws
     covers: ClassVar[tuple[str, ...]] = ()
     contains: ClassVar[Mapping[str, Mapping[str, float]]] = MappingProxyType({})
     essential: ClassVar[tuple[str, ...]] = ()
     with_offset: ClassVar[str] = ""
+    # shape of the force
     jumps: ClassVar[bool] = False
     resists: ClassVar[bool] = False
     turns: ClassVar[bool] = False
     width_share: ClassVar[float | None] = None
+    # how it enters a simulation
     secant: ClassVar[bool] = False
     needs_law: ClassVar[bool] = False
     along_motion: ClassVar[bool] = True
     delays: ClassVar[bool] = False
     drifts: ClassVar[tuple[str, ...]] = ()
+    # where `diagnose` looks for it
     of_record: ClassVar[bool] = False
     one_signed: ClassVar[bool] = False
     two_signed: ClassVar[bool] = False
     of_speeds: ClassVar[bool] = False
     of_displacements: ClassVar[bool] = False
     of_differences: ClassVar[str] = ""
+    # signal in which it is linear
     signal: ClassVar[str] = ""
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        # name of the class in lower case: SqrtFlow -> sqrt_flow
         if "name" not in vars(cls):
             cls.name = re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        # it feels no more than it needs, unless the class says so
         if "senses" not in vars(cls):
             cls.senses = cls.needs
 
@@ -294,6 +306,7 @@ class Law:
     @property
     def special_cases(self) -> frozenset[str]:
         """Names of the laws that it contains, and of those that these contain."""
+        # special cases of a special case are special cases too
         held = frozenset(self.contains)
         return held.union(*(_LAWS[name].special_cases for name in held if name in _LAWS))
 
@@ -358,7 +371,7 @@ class Law:
         return None
 
     def __reduce__(self) -> tuple[object, tuple[Any, ...]]:
-        # in the catalogue a name says it all
+        # laws of the catalogue are pickled by name
         return (_law, (self.name,)) if _LAWS.get(self.name) is self else (instance_of, (type(self),))
 
 
@@ -388,6 +401,7 @@ def register(law: _Class) -> _Class:
     ValueError
         If another law has the name.
     """
+    # a module that is loaded again replaces its own law
     held = type(_LAWS.get(law.name, law))
     if law.name in _LAWS and (held.__module__, held.__qualname__) != (law.__module__, law.__qualname__):
         raise ValueError(f"there is a law {law.name!r} already: {held.__module__}; give it another name")
@@ -427,11 +441,13 @@ class Assembly:
         Time that passes over the time that the record says.
     """
 
+    # state equation: inertia dx/dt = A x + Bu r + constant
     rates: NDArray[Any]
     A: NDArray[Any]
     Bu: NDArray[Any]
     inertia: NDArray[Any]
     constant: NDArray[Any]
+    # inputs and outputs
     Uw: NDArray[Any]
     output_gain: NDArray[Any]
     output_offset: NDArray[Any]
@@ -442,6 +458,7 @@ class Assembly:
 
     def force(self, act: NDArray[Any]) -> NDArray[Any]:
         """The force that has entered along `act`, as a row on x, r, 1 and dx/dt."""
+        # project what has entered the state equation on the direction of the force
         entered = np.hstack([self.rates, self.constant[:, None], -self.inertia])
         return np.asarray(act @ entered / (act @ act))
 
@@ -480,6 +497,7 @@ class Site:
     @cached_property
     def by_displacement(self) -> Array:
         """Rates by a resisting force of unit stiffness at the port, (n, n + n_w)."""
+        # a force -k d along `act` changes the rates by act d
         return np.outer(self.act, np.concatenate([self.position, self.position_input]))
 
     @cached_property
@@ -516,5 +534,6 @@ class AbsorbedLaw(Law):
 
 def nominal_is_left(kind: str, structure: Any, place: str) -> tuple[float, float]:
     """Bounds of a change that leaves the parameter of the model positive."""
+    # the change is larger than minus the value of the model
     values = [q.value for q in structure.model.parameters if (q.kind, q.place) == (kind, place)]
     return max((-value for value in values if value > 0), default=-inf), inf

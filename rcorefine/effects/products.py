@@ -11,7 +11,7 @@ from typing import Any
 from .formula import PortLaw
 from .law import Coefficient, register
 
-_LEAST = 0.02  # share of a store that is left at all states
+_LEAST = 0.02  # least share of the store at any state
 
 
 class _EntryProduct(PortLaw):

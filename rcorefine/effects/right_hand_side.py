@@ -20,8 +20,8 @@ from .compiled import code_of
 from .expressions import Number, Symbolic, Tape, Untraceable, as_numbers, in_python, is_number, tracing
 from .law import Coefficient, Law, nominal_is_left, register
 
-_AFFINE = 1e-12  # of a slope: within it the linear part has it
-_LONGEST = 1000  # lines: beyond, they take longer to compile than they save
+_AFFINE = 1e-12  # relative difference below which a slope equals that of the linear part
+_LONGEST = 1000  # most lines; longer code takes more time to compile than it saves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +54,10 @@ class Remainder:
     def whole(self, z: Sequence[Number], p: Sequence[Number]) -> list[Any]:
         """Rows before the linear part is taken away, at symbols above the level."""
         n = self.functions.n_states
+        # absolute values: level + deviation
         both = [at + above for at, above in zip(self.level.tolist(), z, strict=True)]
         rows: list[Any] = self.functions.traced(both[:n], both[n:], p)
+        # outputs without their level, and without the rates that they read
         for i, (sensed, rest) in enumerate(zip(self.rate_sensors, self.outputs.tolist(), strict=True)):
             rows[n + i] -= rest
             for j in np.flatnonzero(sensed):
@@ -77,11 +79,11 @@ class StraightLine:
     def made(self, compiled: Callable[..., Any] | None = None) -> Callable[..., None]:
         """Return the function, compiled or in Python."""
         if compiled is not None:
-            return compiled(self._built(math))  # type: ignore[no-any-return]
-        fill = in_python(self._built)
+            return compiled(self._build(math))  # type: ignore[no-any-return]
+        fill = in_python(self._build)
         return lambda p, z, want, out: fill(p.tolist(), z.tolist(), want, out)
 
-    def _built(self, functions: Any) -> Callable[..., None]:
+    def _build(self, functions: Any) -> Callable[..., None]:
         scope: dict[str, Any] = {"math": functions}
         exec(self.source, scope)
         return scope["fill"]  # type: ignore[no-any-return]
@@ -98,29 +100,33 @@ def straight_line(of: Remainder, plain: Callable[[Array, Array], Array]) -> Stra
         ``plain(z, p)``: all rows by the user's functions, with which the code has to agree.
     """
     try:
-        found = _traced(of)
-    except Exception:  # symbols go through a user's code: what that raises is not foreseeable
+        found = _trace(of)
+    except Exception:  # the user's code may raise anything when it gets symbols
         return None
     return found if _agrees(found, of, plain) else None
 
 
-def _traced(of: Remainder) -> StraightLine:
+def _trace(of: Remainder) -> StraightLine:
     signals, q = of.level.size, of.nominal.size
     tape = Tape()
+    # symbols for deviations and parameters
     z, p = [tape.symbol(f"z{j}") for j in range(signals)], [tape.symbol(f"p{c}") for c in range(q)]
     rows = of.whole(z, p)
+    # slopes that differ from those of the linear part, (rows, signals)
     bent = np.array(
         [
             [_departs(slope, at) for slope, at in zip(tape.derivatives(row, z), line, strict=True)]
             for row, line in zip(rows, of.linear.tolist(), strict=True)
         ]
     )
+    # rows that depend on the parameters, rows that are not zero at the level
     moved = np.array([any(not is_number(by, 0.0) for by in tape.derivatives(row, p)) for row in rows])
     rest = np.array(of.whole([0.0] * signals, of.nominal.tolist()))
+    # nonlinear rows, and the signals on which they depend
     kept = np.flatnonzero(bent.any(axis=1) | moved | (rest != 0.0))
     active = np.flatnonzero(bent.any(axis=0))
 
-    # what the other signals do is in the linear part, whole
+    # the other signals act through the linear part alone
     tape = Tape()
     z, p = [tape.symbol(f"z{j}") for j in range(active.size)], [tape.symbol(f"p{c}") for c in range(q)]
     above: list[Number] = [0.0] * signals
@@ -145,20 +151,23 @@ def _source(
     """Values and sizes first; then derivatives by signals; then by parameters."""
     values, slopes, by_numbers = [], [], []
     for i, (row, line) in enumerate(zip(rows, linear.tolist(), strict=True)):
+        # row less its linear part, and a size for the judgment of rounding
         straight: Any = sum((a * one for a, one in zip(line, z, strict=True)), 0.0)
         values += [(f"{i}, 0", row - straight), (f"{i}, 1", abs(row) + abs(straight))]
         found = zip(tape.derivatives(row, z), line, strict=True)
         slopes += [(f"{i}, {2 + j}", slope - a) for j, (slope, a) in enumerate(found)]
         columns = enumerate(tape.derivatives(row, p), 2 + len(z))
         by_numbers += [(f"{i}, {column}", slope) for column, slope in columns]
+    # code: symbols, values, then derivatives
     names = [f"z{j} = z[{j}]" for j in range(len(z))] + [f"p{c} = p[{c}]" for c in range(len(p))]
     done: set[int] = set()
     lines = [*names, *tape.code([value for _, value in values], done)]
     lines += [f"out[{at}] = {tape.name(value)}" for at, value in values]
-    # entries that are zero everywhere stay as they were made
+    # the table is zero before: leave out entries that are always zero
     slopes, by_numbers = (
         [(at, slope) for at, slope in some if not is_number(slope, 0.0)] for some in (slopes, by_numbers)
     )
+    # derivatives follow only where they are wanted
     for wanted, entries in ((1.0, slopes), (2.0, by_numbers)):
         lines += [f"if want < {wanted}:", "    return", *tape.code([slope for _, slope in entries], done)]
         lines += [f"out[{at}] = {tape.finite(slope, 0.0)}" for at, slope in entries]
@@ -172,6 +181,7 @@ def _agrees(found: StraightLine, of: Remainder, plain: Callable[[Array, Array], 
 
     The functions must also be linear in the other rows.
     """
+    # points at growing distance from the level
     fill, size = found.made(), np.maximum(np.abs(of.level), 1.0)
     out = np.zeros((found.rows.size, 2 + found.signals.size + of.nominal.size))
     angles = np.arange(size.size)
@@ -186,7 +196,7 @@ def _agrees(found: StraightLine, of: Remainder, plain: Callable[[Array, Array], 
         both = np.isfinite(here) & np.isfinite(there)
         apart.append(np.where(both, np.abs(here - there), 0.0))
         sizes.append(np.where(both, np.abs(of.linear) @ np.abs(z) + np.abs(there), 0.0))
-    # a row that all but vanishes at one point is measured by what it is at the others
+    # a row that nearly vanishes at one point is compared with its size at the others
     return bool(np.all(np.array(apart) <= 1e-9 * np.array(sizes) + 1e-12 * np.max(sizes, axis=0)))
 
 
@@ -199,6 +209,7 @@ def exact_slopes(functions: RightHandSide, level: Array, nominal: Array) -> Arra
     names = [f"z{j}" for j in range(level.size)]
     try:
         z = [tape.symbol(name) for name in names]
+        # trace rates and outputs, then run the code of the derivatives at the level
         rows = functions.traced(z[:n], z[n:], nominal.tolist())
         slopes = [tape.derivatives(row, z) for row in rows]
         scope: dict[str, Any] = {"math": math, **dict(zip(names, level.tolist(), strict=True))}
@@ -208,7 +219,7 @@ def exact_slopes(functions: RightHandSide, level: Array, nominal: Array) -> Arra
         return None
 
 
-_AHEAD = 2  # columns of the table before the derivatives: the value, and the size of what it came from
+_AHEAD = 2  # columns before the derivatives: value, and size of its terms
 _Function = Callable[..., Any]
 
 
@@ -261,6 +272,7 @@ class RightHandSide:
 
     def __call__(self, x: Array, u: Array, values: Array, t: float = 0.0) -> Array:
         """Rates and outputs in one row, (n + n_y,)."""
+        # parameters by name, together with those that are held
         params = {**self.others, **dict(zip(self.names, values.tolist(), strict=True))}
         rates = np.asarray(_plain(self.update)(t, x, u, params), dtype=float).reshape(-1)
         shown = x[: self.n_outputs]
@@ -276,6 +288,7 @@ class RightHandSide:
         Exception
             Whatever comes of functions that cannot be traced.
         """
+        # arrays of objects hold the symbols
         states, inputs = np.array(x, dtype=object), np.array(u, dtype=object)
         params = {**self.others, **dict(zip(self.names, p, strict=True))}
         rows = as_numbers(tracing(self.update)(0.0, states, inputs, params))
@@ -288,11 +301,13 @@ class RightHandSide:
 
         It fills a row with rates and outputs.
         """
+        # source of a function that numba compiles: the parameters as a dictionary
         entries = "".join(f"{name!r}: p[{i}], " for i, name in enumerate(self.names))
         held = "".join(f"{name!r}: held_{i}, " for i, name in enumerate(self.others))
         lines = [
             "def whole(x, u, p, row):",
-            f"    params = {{'': True, {entries}{held}}}",  # of several types: its keys are known to numba
+            # entries of several types make numba treat the keys as constants
+            f"    params = {{'': True, {entries}{held}}}",
             "    rates = update(0.0, x, u, params)",
             *(f"    row[{i}] = rates[{i}]" for i in range(self.n_states)),
         ]
@@ -345,6 +360,7 @@ class Field:
         self._of = of
         self.functions, self.nominal = of.functions, of.nominal
         self._plain = fill_of(_tolerant(of.functions), of, lambda function: function)
+        # traced code with exact derivatives, or the functions as they are with differences
         found = straight_line(of, self._values)
         everything = np.arange(of.linear.shape[0]), np.arange(of.linear.shape[1])
         self.rows, self.signals = everything if found is None else (found.rows, found.signals)
@@ -367,6 +383,7 @@ class Field:
             fill(_row(p, q), np.array(w[:z]), want, _row(out, shape[0] * shape[1]).reshape(shape))
 
         if NUMBA:
+            # compiled where numba can, in Python otherwise
             try:
                 if found is None:
                     fast = fill_of(self.functions.compiled(), self._of, compiled_law)
@@ -389,12 +406,13 @@ class Field:
 
     def _compare(self, fast: _Function) -> None:
         """Check that the compiled functions agree with the Python functions."""
+        # at the level and near it
         for share in (0.0, 1e-3):
             z = share * np.maximum(np.abs(self._of.level), 1.0)
             there = np.zeros((self.n_rows, self.n_columns))
             try:
                 fast(self.nominal, z, 2.0, there)
-            except Exception as error:  # numba's own errors have no common base
+            except Exception as error:  # errors of numba have no common base class
                 raise TypeError(str(error)) from error
             here = self._values(z, self.nominal)
             if not np.allclose(here, there[:, 0], rtol=1e-9, atol=1e-12, equal_nan=True):
@@ -414,6 +432,7 @@ class Field:
 
         Their shape is (n + n_y, n + n_w). `z` holds deviations from the level.
         """
+        # derivatives of the nonlinear rows and signals; the others are zero
         found = np.zeros_like(self._of.linear)
         columns = slice(_AHEAD, _AHEAD + self.n_signals)
         found[np.ix_(self.rows, self.signals)] = self.table(values, z[self.signals], 1.0)[:, columns]
@@ -448,12 +467,13 @@ def _tolerant(functions: RightHandSide) -> _Function:
     A search may leave that domain.
     """
 
+    # errors of math become NaN, and the step of the search is rejected
     def whole(x: Array, u: Array, p: Array, row: Array) -> None:
         try:
             row[:] = functions(x, u, p)
         except ArithmeticError:
             row[:] = np.nan
-        except ValueError as error:  # of math.sqrt and math.log
+        except ValueError as error:  # domain errors of math.sqrt and math.log
             if "math domain" not in str(error) and "expected a" not in str(error):
                 raise
             row[:] = np.nan
@@ -466,10 +486,12 @@ def fill_of(whole: _Function, of: Remainder, made: _Function) -> _Function:
 
     It takes differences of ``whole(x, u, p, row)``.
     """
+    # arrays that the compiled function holds as constants
     numbers = (of.level, of.linear, of.rate_sensors, of.outputs)
     level, linear, rate_sensors, outputs = (np.ascontiguousarray(one, dtype=float) for one in numbers)
     n, (rows, signals) = of.functions.n_states, linear.shape
 
+    # rates and outputs, outputs without level and rates
     def remainder(z, p, row):  # type: ignore[no-untyped-def]
         both = level + z
         whole(both[:n], both[n:], p, row)
@@ -483,6 +505,7 @@ def fill_of(whole: _Function, of: Remainder, made: _Function) -> _Function:
     def fill(p, z, want, out):  # type: ignore[no-untyped-def]
         at, up, low = np.empty(rows), np.empty(rows), np.empty(rows)
         remainder(z, p, at)
+        # value less the linear part, and its size
         for i in range(rows):
             straight = 0.0
             for j in range(signals):
@@ -491,6 +514,7 @@ def fill_of(whole: _Function, of: Remainder, made: _Function) -> _Function:
             out[i, 1] = abs(at[i]) + abs(straight)
         if want < 1.0:
             return
+        # derivatives by the signals: central differences
         moved = z.copy()
         for j in range(signals):
             h = 1e-5 * max(abs(level[j] + z[j]), 1e-4)
@@ -503,6 +527,7 @@ def fill_of(whole: _Function, of: Remainder, made: _Function) -> _Function:
                 out[i, 2 + j] = (up[i] - low[i]) / (2.0 * h) - linear[i, j]
         if want < 2.0:
             return
+        # derivatives by the parameters: central differences
         other = p.copy()
         for c in range(p.size):
             h = 1e-5 * (abs(p[c]) if p[c] != 0.0 else 1e-2)

@@ -13,6 +13,7 @@ from .formula import PortLaw
 from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, nominal_is_left, positive, register
 
 
+# change of a linear spring
 @register
 class Stiffness(AbsorbedLaw):
     """Change of a spring."""
@@ -31,6 +32,7 @@ class Stiffness(AbsorbedLaw):
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Add t d to the force at the port."""
+        # f = t d, by all signals that make up the displacement
         into.rates += values[0] * site.by_displacement
 
     def bounds_in(self, structure: Any, place: str) -> tuple[float, float]:
@@ -38,6 +40,7 @@ class Stiffness(AbsorbedLaw):
         return nominal_is_left(self.name, structure, place)
 
 
+# smooth nonlinear springs
 @register
 class CubicStiffness(PortLaw):
     """Spring that hardens."""
@@ -53,6 +56,7 @@ class CubicStiffness(PortLaw):
     @staticmethod
     def law(d, cubic_stiffness):  # type: ignore[no-untyped-def]
         """Formula."""
+        # odd function: the same in both directions
         return cubic_stiffness * d**3
 
 
@@ -73,9 +77,11 @@ class QuadraticStiffness(PortLaw):
     @staticmethod
     def law(d, quadratic_stiffness):  # type: ignore[no-untyped-def]
         """Formula."""
+        # even function: stiffer on one side of rest
         return quadratic_stiffness * d * d
 
 
+# piecewise linear springs: cracks, gaps and stops
 @register
 class BilinearStiffness(PortLaw):
     """Spring with a kink at rest."""
@@ -93,6 +99,7 @@ class BilinearStiffness(PortLaw):
     @staticmethod
     def law(d, bilinear_stiffness):  # type: ignore[no-untyped-def]
         """Formula."""
+        # added stiffness on one side, a breathing crack
         return bilinear_stiffness * max(0.0, d)
 
 
@@ -113,10 +120,12 @@ class Clearance(PortLaw):
     @staticmethod
     def law(d, stiffness, gap):  # type: ignore[no-untyped-def]
         """Formula."""
+        # no force inside the gap
         return stiffness * math.copysign(max(0.0, abs(d) - gap), d)
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps that the motion reaches now and then."""
+        # quantiles of the displacement
         return [{"gap": float(q)} for q in np.quantile(np.abs(seen.d), [0.4, 0.7, 0.9, 0.1])]
 
 
@@ -146,6 +155,7 @@ class EndStop(PortLaw):
     @staticmethod
     def law(d, stiffness, position):  # type: ignore[no-untyped-def]
         """Formula."""
+        # contact on the side of the sign of the position
         beyond = d - position
         if position < 0.0:
             return stiffness * min(0.0, beyond)
@@ -153,6 +163,7 @@ class EndStop(PortLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Places on either side that the motion passes now and then."""
+        # quantiles of the displacement on either side of rest
         sides = np.quantile(seen.d, [0.7, 0.9, 0.97, 0.3, 0.1, 0.03])
         reached = [q for q, sign in zip(sides, (1, 1, 1, -1, -1, -1), strict=True) if sign * q > 0]
         return [{"position": float(q)} for q in reached]
@@ -184,10 +195,12 @@ class TwoStops(PortLaw):
     @staticmethod
     def law(d, stiffness, lower, upper):  # type: ignore[no-untyped-def]
         """Formula."""
+        # at most one of the contacts acts
         return stiffness * (max(0.0, d - upper) + min(0.0, d - lower))
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Places that the motion passes now and then, and rarely."""
+        # share of the time beyond each stop
         shares = (0.15, 0.05, 0.3)
         return [
             {"lower": float(low), "upper": float(high)}
@@ -196,6 +209,7 @@ class TwoStops(PortLaw):
         ]
 
 
+# smooth stop
 @register
 class SoftClearance(PortLaw):
     """Stop that is met gradually: a gap with rounded corners."""
@@ -214,10 +228,12 @@ class SoftClearance(PortLaw):
     @staticmethod
     def law(d, stiffness, gap, softness):  # type: ignore[no-untyped-def]
         """Formula."""
+        # a hyperbola in place of each kink
         corner = softness * gap
         return stiffness * (d + 0.5 * (math.hypot(d - gap, corner) - math.hypot(d + gap, corner)))
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps that the motion reaches now and then."""
+        # quantiles of the displacement
         gaps = np.quantile(np.abs(seen.d), [0.4, 0.7, 0.9])
         return [{"gap": float(q), "softness": 1.0} for q in gaps]

@@ -32,8 +32,11 @@ from .structure import Structure
 
 _HARMONICS = 15
 _MOST_HARMONICS = 1000
+# a sweep that approaches a frequency from afar: its start over the frequency, and its number of steps
 _AFAR, _APPROACH = 0.3, 30
-_STEP, _SMALL, _FINEST = 0.1, 0.05, 2e-5  # change of the answer in one step; of the largest; least step
+# continuation: relative change of the response per step, size of a small response, shortest step
+_STEP, _SMALL, _FINEST = 0.1, 0.05, 2e-5
+# simulation until the motion is steady: periods of the sine, samples per period
 _PERIODS, _PER_PERIOD = 200, 64
 
 
@@ -160,6 +163,7 @@ def frequency_response_at(
     linear = refuse_point(open_loop(structure).model, "frequency_response_at").linear
     channel = _channel(source, linear.input_labels)
     balance = SineBalance(open_loop(structure), theta, channel, int(harmonics))
+    # where several steady states exist, the order of the frequencies decides which branch is followed
     order = np.argsort(points, kind="stable")[:: 1 if sweep == "up" else -1]
     shape = (levels.size, linear.n_outputs, points.size)
     response = np.full(shape, np.nan, dtype=complex)
@@ -168,23 +172,27 @@ def frequency_response_at(
     converged = np.zeros((levels.size, points.size), dtype=bool)
     stable = np.zeros((levels.size, points.size), dtype=bool)
     gain, where = np.full((2, levels.size, linear.n_outputs), np.nan)
+    # one sweep over the frequencies for each amplitude
     for level, peak in enumerate(levels):
         way: list[tuple[float, SteadyState]] = []
         for k in order:
-            state = _onward(balance, float(points[k]), float(peak), sweep, way)
+            state = _next_state(balance, float(points[k]), float(peak), sweep, way)
             converged[level, k] = state.converged
             stable[level, k] = state.stable
             if not state.converged:
                 continue
             way.append((float(points[k]), state))
+            # describing function: fundamental of each output over the peak of the input, (n_y,)
             first = state.outputs[:, 1]
             response[level, :, k] = first / peak
+            # distortion: rms of the higher harmonics over the fundamental
             higher = np.sqrt(np.sum(np.abs(state.outputs[:, 2:]) ** 2, axis=1))
             distortion[level, :, k] = np.divide(
                 higher, np.abs(first), out=np.zeros_like(higher), where=np.abs(first) > 0
             )
             mean[level, :, k] = state.outputs[:, 0].real
             forces[level, :, k] = np.hypot(state.forces[:, 1], state.forces[:, 2])
+        # peak of the response over all states of the sweep, also between the asked frequencies
         if way:
             sizes = np.array([np.abs(state.outputs[:, 1]) for _, state in way])
             gain[level] = sizes.max(axis=0) / peak
@@ -195,7 +203,7 @@ def frequency_response_at(
     return AmplitudeResponse(points, levels, *found, *labels)
 
 
-def _onward(
+def _next_state(
     balance: SineBalance, omega: float, peak: float, sweep: str, way: list[tuple[float, SteadyState]]
 ) -> SteadyState:
     """Return the steady state at the next frequency of a sweep.
@@ -203,36 +211,43 @@ def _onward(
     The states on the way there are appended to `way`. Steps are halved while the response changes much: long
     steps miss peaks, and leave a branch before it ends.
     """
+    # first frequency of the sweep: there is no neighbor to continue from
     if not way:
-        return _settled(balance, omega, peak, sweep, balance.solve(omega, peak, []))
+        return _stable(balance, omega, peak, sweep, balance.solve(omega, peak, []))
     at, last = way[-1]
+    # small responses count relative to the largest one so far, so that they need no short steps
     least = _SMALL * np.max([np.abs(state.outputs[:, 1]) for _, state in way], axis=0)
     step, there = omega - at, omega
     while True:
+        # continuation: the forces at the last frequency are the initial guess at the next
         state = balance.solve(there, peak, [last.forces])
         if last.stable and state.converged and abs(step) > _FINEST * omega:
-            one, two = last.outputs[:, 1], state.outputs[:, 1]
-            scale = np.max([np.abs(one), np.abs(two), least], axis=0)
-            if not state.stable or (np.abs(two - one) > _STEP * scale).any():
+            before, after = last.outputs[:, 1], state.outputs[:, 1]
+            scale = np.max([np.abs(before), np.abs(after), least], axis=0)
+            # halve the step where the response jumps or the branch loses its stability
+            if not state.stable or (np.abs(after - before) > _STEP * scale).any():
                 step /= 2
                 there = at + step
                 continue
         if there == omega or not state.stable:
             break
+        # accept the point and double the step
         way.append((there, state))
         at, last = there, state
         step = min(2 * step, omega - at, key=abs)
         there = omega if step == omega - at else at + step
+    # the branch ended on the way: solve at the wanted frequency itself
     if there != omega:
         state = balance.solve(omega, peak, [last.forces])
-    return _settled(balance, omega, peak, sweep, state)
+    return _stable(balance, omega, peak, sweep, state)
 
 
-def _settled(balance: SineBalance, omega: float, peak: float, sweep: str, state: SteadyState) -> SteadyState:
+def _stable(balance: SineBalance, omega: float, peak: float, sweep: str, state: SteadyState) -> SteadyState:
     """Return a stable steady state, if one is found.
 
     If `state` is not stable, sweep to it from a distant frequency, then simulate from rest.
     """
+    # Newton did not converge: continuation from a distant frequency, where the response is small
     starts: list[Array] = []
     afar = _AFAR if sweep == "up" else 1.0 / _AFAR
     for frequency in [] if state.converged else np.geomspace(afar * omega, omega, _APPROACH):
@@ -241,10 +256,12 @@ def _settled(balance: SineBalance, omega: float, peak: float, sweep: str, state:
             starts = [state.forces]
     if state.stable:
         return state
+    # unstable steady state: simulate the sine to see where the motion settles
     structure = balance.structure
     n = _PERIODS * _PER_PERIOD
     signal = np.zeros((structure.n_inputs, n))
     signal[balance.channel] = peak * np.cos(2 * np.pi * np.arange(n) / _PER_PERIOD)
+    # a disturbance at the start makes the simulation leave an unstable solution
     signal[balance.channel, 0] *= 1.1
     blank = Measurement(
         signal, np.zeros((structure.n_outputs, n)), dt=2 * np.pi / omega / _PER_PERIOD, hold="foh"
@@ -252,6 +269,7 @@ def _settled(balance: SineBalance, omega: float, peak: float, sweep: str, state:
     run = Engine(structure, blank, substeps=4).run(
         balance.theta, sensitivity=False, histories=True, check=False
     )
+    # the forces of the last period are the initial guess of the harmonic balance
     last = run.forces[:, -_PER_PERIOD:]
     if run.blew_up >= 0 or not np.isfinite(last).all():
         return state
@@ -268,8 +286,8 @@ def _channel(source: int | str, labels: tuple[str, ...]) -> int:
 
 
 Complex = NDArray[np.complex128]
-_PHASES = 16  # of a period of a sine
-_BATCH = 4_000_000  # complex numbers at once (64 MB)
+_PHASES = 16  # samples of a period of a sine
+_BATCH = 4_000_000  # complex numbers in memory at once (64 MB)
 
 
 def engine_on(
@@ -312,7 +330,7 @@ class ResponseEngine:
         If an effect is nonlinear and the amplitude of the sines is not known, or the model itself is.
     """
 
-    lead: Array | None = None  #: no observer leads a response
+    lead: Array | None = None  #: a frequency response has no observer
 
     def __init__(self, structure: Structure, data: ResponseRecord, *, substeps: int = 1) -> None:
         self.structure, self.data, self.substeps = structure, data, substeps
@@ -329,7 +347,7 @@ class ResponseEngine:
         drifting = [effect.label for effect in structure.effects if effect.spec.drifts]
         if drifting:
             raise ModelError(f"{drifting[0]} shows in records in time, and in no response; leave it out")
-        self._balance = None if is_linear(structure) else _balanced(structure, data)
+        self._balance = None if is_linear(structure) else _line_balance(structure, data)
 
     def run(self, theta: Array, x0: Array | None = None, *, sensitivity: bool = True, **_: Any) -> Trajectory:
         """Return the response in rows as those of the data, with derivatives.
@@ -357,6 +375,7 @@ class ResponseEngine:
             lost = np.full(self.data.outputs.shape, np.inf)
             free = self.structure.n_parameters if sensitivity else 0
             return Trajectory(lost, np.zeros((*lost.shape, free)), lost[:0], lost[:0], 0)
+        # real and imaginary parts as rows, over the standard deviation of the noise
         rows = coded(response) / noise
         columns = np.empty((*rows.shape, len(slopes)))
         for k, slope in enumerate(slopes):
@@ -381,6 +400,7 @@ class ResponseEngine:
         """
         s = self.structure
         labels = s.linear_model.input_labels, s.linear_model.output_labels
+        # channel: a factor on it multiplies its column or row of the response
         if place in labels[0] or place in labels[1]:
             response = self.response(theta, derivatives=False)[0]
             through = np.zeros(response.shape, complex)
@@ -392,14 +412,17 @@ class ResponseEngine:
             return None
         m, n, nw = s.matrices(theta.astype(float)), s.n_states, s.n_inputs
         n0 = s.linear_model.n_states
+        # place: row that senses its motion, column by which a force acts there
         seen = "position" if port.has_position else "velocity"
         sense, direct = getattr(port, seen), getattr(port, f"{seen}_input")
         row, act = np.pad(sense, (0, n - n0))[None], np.pad(port.act, (0, n - n0))[:, None]
         out = felt(port, s.model.output_rate)
         points = 1j * self.data.omega
+        # G_dw from the inputs to the motion, G_yf from a force there to the outputs, at s = i omega
         to, _ = _transfer([(m.A, m.B[:, :nw], row, direct[None])], points)
         back, _ = _transfer([(m.A, act, m.C, out[:, None])], points)
-        late = self._delayed(theta, np.ones((s.n_outputs, nw, points.size), complex), [])[0]
+        late = self._delay(theta, np.ones((s.n_outputs, nw, points.size), complex), [])[0]
+        # a unit of stiffness gives the force -d, hence the change -G_yf G_dw of the outputs
         return np.asarray(-back * to * late)
 
     # ------------------------------------------------------------------ linear
@@ -421,12 +444,13 @@ class ResponseEngine:
         if not all(np.isfinite(block).all() for block in sets[0]):
             raise DivergenceError("the model with these effects is no number; start from other coefficients")
         sampled = data.dt > 0 and data.hold != "bandlimited"
+        # frequencies on the unit circle, z = exp(i omega dt), or on the imaginary axis
         points = np.exp(1j * omega * data.dt) if sampled else 1j * omega
         G, found = _transfer(sets, points)
         slopes = [np.zeros(G.shape, complex)] * (s.n_parameters if derivatives else 0)
         for column, slope in zip(columns, found, strict=True):
             slopes[column] = slope
-        return self._delayed(theta, G, slopes)
+        return self._delay(theta, G, slopes)
 
     def _matrices(self, theta: Array, columns: NDArray[np.int64]) -> list[tuple[Array, ...]]:
         """Return A, B, C, D of the response, then their derivatives.
@@ -435,6 +459,7 @@ class ResponseEngine:
         """
         s, data = self.structure, self.data.measured
         nw = s.n_inputs
+        # continuous time: derivatives by complex steps
         if not data.dt or data.hold == "bandlimited":
             m = tiny_steps(s, theta, columns)
             blocks = m.A, m.B[:, :, :nw], m.C, m.D[:, :, :nw]
@@ -443,21 +468,22 @@ class ResponseEngine:
         disc = s.discretize(theta, data.dt, derivatives=columns.size > 0)
         n, drive = s.n_states, nw + 1
         found: list[tuple[Array, ...]] = []
-        ends = disc.M[0, -n:], *disc.dM[0, :, -n:]  # of a substep whose forces are found amid it, too
+        ends = disc.M[0, -n:], *disc.dM[0, :, -n:]  # end of the substep, for either formula
         for M, O in zip(ends, (disc.O, *disc.dO), strict=True):
+            # x(k+1) = Phi x(k) + first w(k) + second w(k+1), y = C x + D w
             Phi, first, second = M[:, :n], M[:, n : n + nw], M[:, n + drive : n + drive + nw]
             C, D = O[:, :n], O[:, n : n + nw]
             if data.hold == "zoh":
                 found.append((Phi, first + second, C, D))
-            elif not found:  # x(k) = xi(k) + second w(k) takes the input ahead out of the state equation
+            elif not found:  # foh: the new state x(k) - second w(k) removes w(k+1)
                 found.append((Phi, first + Phi @ second, C, D + C @ second))
                 whole = Phi, second, C
-            else:
+            else:  # derivatives of the line above, by the product rule
                 B = first + Phi @ whole[1] + whole[0] @ second
                 found.append((Phi, B, C, D + C @ whole[1] + whole[2] @ second))
         return found
 
-    def _delayed(self, theta: Array, G: Complex, slopes: list[Complex]) -> tuple[Complex, list[Complex]]:
+    def _delay(self, theta: Array, G: Complex, slopes: list[Complex]) -> tuple[Complex, list[Complex]]:
         """With the delays of inputs and outputs."""
         s = self.structure
         late: list[tuple[int, Any]] = [(index, np.s_[:, channel]) for index, channel in s.input_statics]
@@ -466,6 +492,7 @@ class ResponseEngine:
         for index, where in late:
             law = s.effects[index].spec
             assert isinstance(law, FormulaLaw)
+            # delay tau: its channel times exp(-i omega tau)
             factor, slope = law.response(self.data.omega, s.law_values(theta, index)[0])
             column = s.position(index, s.effects[index].coefficients[0])
             if column >= 0 and slopes:
@@ -475,7 +502,7 @@ class ResponseEngine:
         return G, slopes
 
 
-def _balanced(structure: Structure, data: ResponseRecord) -> LineBalance:
+def _line_balance(structure: Structure, data: ResponseRecord) -> LineBalance:
     """The harmonic balance of nonlinear effects at the lines of a response.
 
     Raises
@@ -497,7 +524,7 @@ def _balanced(structure: Structure, data: ResponseRecord) -> LineBalance:
     return LineBalance(structure, data)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # far off all numbers overflow, and who asks sees that
+@np.errstate(over="ignore", invalid="ignore")  # overflow far from the minimum is noticed by the callers
 def _transfer(sets: list[tuple[Array, ...]], points: NDArray[Any]) -> tuple[Complex, list[Complex]]:
     """Return C (z - A)^-1 B + D at every point, and its derivatives.
 
@@ -507,11 +534,13 @@ def _transfer(sets: list[tuple[Array, ...]], points: NDArray[Any]) -> tuple[Comp
     n, n_y, n_w = A.shape[0], *D.shape
     G = np.empty((n_y, n_w, points.size), complex)
     slopes = [np.empty(G.shape, complex) for _ in sets[1:]]
+    # blocks of frequencies bound the memory
     batch = max(1, _BATCH // max(1, n * (n + n_w + n_y)))
     for start in range(0, points.size, batch):
         part = slice(start, start + batch)
         shifted = points[part, None, None] * np.eye(n) - A
         try:
+            # X = (z - A)^-1 B and Z = C (z - A)^-1, at all frequencies of the block
             X = np.linalg.solve(shifted, np.broadcast_to(B.astype(complex), (len(shifted), n, n_w)))
             left = np.broadcast_to(C.T.astype(complex), (len(shifted), n, n_y))
             Z = np.swapaxes(np.linalg.solve(np.swapaxes(shifted, 1, 2), left), 1, 2)
@@ -522,6 +551,7 @@ def _transfer(sets: list[tuple[Array, ...]], points: NDArray[Any]) -> tuple[Comp
             continue
         G[:, :, part] = np.moveaxis(C @ X + D, 0, -1)
         for slope, (dA, dB, dC, dD) in zip(slopes, sets[1:], strict=True):
+            # dG = Z (dA X + dB) + dC X + dD, since d(z - A)^-1 = (z - A)^-1 dA (z - A)^-1
             changed = Z @ (dA @ X + dB) + dC @ X + dD
             slope[:, :, part] = np.moveaxis(changed, 0, -1)
     return G, slopes
@@ -539,6 +569,7 @@ def port_phasors(
     rows = np.pad(np.array([port.position, port.velocity]), ((0, 0), (0, added)))
     through = np.array([port.position_input, port.velocity_input])
     G, _ = _transfer([(m.A, m.B[:, :nw], rows, through)], 1j * data.omega)
+    # motion = transfer function times the peak of the input sine; a pole on the line gives zero
     d, v = np.nan_to_num(G) * data.inputs[0, : data.omega.size]
     return d.ravel(), v.ravel()
 

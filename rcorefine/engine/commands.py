@@ -25,7 +25,7 @@ from .march import MarchResult, MarchState, march_at
 if TYPE_CHECKING:
     from .structure import Structure
 
-_SETTLED = 1e200  # s that a command has stood at its first value
+_SETTLED = 1e200  # seconds for which a command had its first value before the record
 
 
 class Commands(NamedTuple):
@@ -106,10 +106,12 @@ def commands(structure: Structure, theta: Array, signal: InputSignal, lead: Arra
     channels = sorted({channel for _, channel in structure.input_statics} & set(driven))
     if not channels:
         return None
+    # laws of each driven input in their order; its delays add up
     first, codes, values, delays, levels = [0], [], [], [], []
     for channel in channels:
         here = [index for index, at in structure.input_statics if at == channel]
         level = 0.0 if model.operating_point is None else float(model.operating_point.inputs[channel])
+        # laws act on absolute commands: start from the operating point
         rest, delay = level, 0.0
         for index in here:
             law, row = structure.effects[index].spec, structure.law_values(theta, index)
@@ -120,6 +122,7 @@ def commands(structure: Structure, theta: Array, signal: InputSignal, lead: Arra
             codes.append(law.code)
             values.append(np.pad(row, (0, MAX_COEFFICIENTS - len(row))))
             if structure.balanced:
+                # constant that leaves the laws at the operating point, subtracted later
                 rest = float(law.through(np.array([rest]), *row, step=_SETTLED)[0][0])
         first.append(len(codes))
         # holding the command of a continuous controller delays it by half a sample
@@ -128,6 +131,7 @@ def commands(structure: Structure, theta: Array, signal: InputSignal, lead: Arra
         levels.append((level, rest))
     depth = int(max(delays)) + 2
     edges = np.arange(signal.substeps + 1) / signal.substeps
+    # share of each substep in which the command of j samples ago acts, (k, substeps, depth)
     begun = edges[:, None] - np.array(delays)[:, None, None] + np.arange(depth)
     start = loop.stop - len(driven)
     return Commands(
@@ -147,13 +151,16 @@ def _pass(loop, past, i, k, x, S, keep):  # type: ignore[no-untyped-def]
     """
     memory, slopes = past.memory, past.slopes
     p, out, nothing = S.shape[0], np.zeros((loop.codes.shape[0], COUNT)), np.zeros(0)
+    # command = recorded one + what the controller adds, around the operating point
     value, moved = loop.given[i, k] + x[loop.held[i]] + loop.levels[i, 0], np.zeros(p)
     for r in range(p):
         moved[r] = S[r, loop.held[i]]
+    # laws in series: the output of one is the input of the next
     for law in range(loop.first[i], loop.first[i + 1]):
         last = value if k == 0 else memory[law, 1]
         lasts = _SETTLED if k == 0 and loop.before > 0.0 else loop.dt
         evaluate(loop.codes[law], value, 1.0, last, memory[law, 0], loop.values, law, lasts, nothing, out)
+        # chain rule: by the command now, the command before and the inner state
         for r in range(p):
             now, before, inner = moved[r], moved[r] if k == 0 else slopes[law, 1, r], slopes[law, 0, r]
             moved[r] = out[law, 1] * now + out[law, 3] * before + out[law, 4] * inner
@@ -163,6 +170,7 @@ def _pass(loop, past, i, k, x, S, keep):  # type: ignore[no-untyped-def]
         if keep:
             memory[law, 0], memory[law, 1] = out[law, 5], value
         value = out[law, 0]
+    # back to deviations from the operating point
     past.V[i, k] = value - loop.levels[i, 1]
     for r in range(p):
         past.dV[i, k, r] = moved[r]
@@ -196,6 +204,7 @@ def _at_sample(loop, past, k, x, S, keep, Wout, dWout):  # type: ignore[no-untyp
     for i in range(loop.channels.shape[0]):
         channel, held, late = loop.channels[i], loop.held[i], loop.late[i]
         _pass(loop, past, i, k, x, S, keep)
+        # the model adds the held command itself, so it is subtracted from the delayed one
         Wout[k, channel] = _ago(past.V[i], k, late, loop.before) - x[held]
         for r in range(S.shape[0]):
             dWout[r, :, channel] = _ago(past.dV[i, :, r], k, late, loop.before) - S[r, held]
@@ -210,6 +219,7 @@ def _over_sample(loop, past, k, x, S, W, dW):  # type: ignore[no-untyped-def]
             W[s, channel] = -x[held]
             for r in range(S.shape[0]):
                 dW[r, s, channel] = -S[r, held]
+            # mean of the delayed command over the substep; W has both ends of each substep
             for j in range(loop.weights.shape[2]):
                 weight = loop.weights[i, s // 2, j]
                 W[s, channel] += weight * _ago(past.V[i], k, j, loop.before)
@@ -243,20 +253,23 @@ def march_in_loop(at_march, model, drive, observer, course, into, loop):  # type
         np.zeros((laws, 2, p)),
     )  # fmt: skip
     driven = np.arange(p)
+    # derivatives of the inputs, which depend on the parameters through the loop: (p, rows, n_w)
     dW, dW1, dW2 = np.zeros((p, rows, nw)), np.zeros((p, 1, nw)), np.zeros((p, 2, nw))
     nobody = Corrections(
         np.zeros((2, ny)), np.zeros((2, ny), dtype=np.uint8), observer.gain, np.zeros((0, 0))
     )
+    # results between the samples, which nobody reads
     aside = MarchResult(
         np.zeros((2, ny)), np.zeros((2, ny, p)), into.states[:0], into.forces[:0], np.full(ny, np.inf),
         into.limit, into.substeps,
     )  # fmt: skip
     ahead, S_ahead = np.zeros(n), np.zeros((p, n))
     for k in range(samples):
-        # as the sample finds it: what reaches an output at once is not corrected by it
+        # before the correction: direct feedthrough must not depend on the correction of the same sample
         _reset(observer.reset, x, S, ahead, S_ahead)
         _at_sample(loop, past, k, ahead, S_ahead, False, Wout, dW1)
         here = slice(k, k + 1)
+        # outputs at the sample, and the controller's correction of the states; no time passes
         found = march_at(
             at_march, model, Drive(W[:0], 2, Wout[here], dW, dW1, driven),
             Corrections(observer.measured[here], observer.use[here], observer.gain, observer.reset), course,
@@ -267,14 +280,16 @@ def march_in_loop(at_march, model, drive, observer, course, into, loop):  # type
         )  # fmt: skip
         if found >= 0:
             return k
+        # the corrected command, which the laws remember
         _at_sample(loop, past, k, x, S, True, Wout, dW2)
         if k == samples - 1:
             break
+        # integrate over the substeps to the next sample, without a correction
         acting = W[rows * k : rows * (k + 1)]
         _over_sample(loop, past, k, x, S, acting, dW)
         found = march_at(
             at_march, model, Drive(acting, 2, Wout[k : k + 2], dW, dW2, driven), nobody,
-            MarchState(x, course.z[:ports], S), aside,  # the sensors do not read it yet
+            MarchState(x, course.z[:ports], S), aside,  # between samples no sensor is read
         )  # fmt: skip
         if found >= 0:
             return k + 1

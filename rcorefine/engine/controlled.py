@@ -58,6 +58,7 @@ def sample_jumps(structure: Structure, dt: float) -> Array:
     jumps, loop = np.eye(structure.n_states), structure.loop
     inner = slice(loop.start, loop.start + A.shape[0])
     held = slice(inner.stop, loop.stop)
+    # controller at a sample: x_c <- A x_c, held output <- C x_c
     jumps[inner, inner], jumps[held, inner], jumps[held, held] = A, C, 0.0
     return jumps
 
@@ -71,6 +72,7 @@ def loop_gain(structure: Structure, dt: float) -> Array:
     gain = np.zeros((structure.n_states, structure.n_outputs))
     if controller is not None:
         _, B, _, D = controller.fed_back(dt, structure.n_outputs)
+        # the error y - y_model enters the controller with a minus sign: x_c by B, held output by D
         gain[structure.loop] = -np.vstack([B, D])
     return gain
 
@@ -87,6 +89,7 @@ def start_columns(structure: Structure, count: int) -> Array:
     the controller, the states of the loop are zero at the start.
     """
     n, controller = structure.n_states, structure.model.controller
+    # dx(0)/dx0 is the identity, after the rows of the parameters
     found = np.eye(count, n, n - count)
     if controller is not None and controller.recorded:
         found[:, structure.loop] = 0.0
@@ -106,12 +109,15 @@ def as_it_runs(model: PhysicalModel, record: Measurement) -> LinearModel:
     controller, linear = model.controller, model.linear
     if controller is None:
         return linear
+    # sampled plant under zero-order hold: x(k+1) = Phi x + Gamma u
     Phi, Gamma, _ = discretize(linear.A, linear.B[:, list(controller.driven)], record.dt)
     A, B, C, D = controller.fed_back(record.dt, linear.n_outputs)
     through = linear.D[:, list(controller.driven)]
+    # algebraic loop u = C_c x_c + D_c y, y = C x + D u, solved for u over the states [x, x_c]
     back = np.linalg.solve(np.eye(len(controller.driven)) - D @ through, np.hstack([D @ linear.C, C]))
     seen = np.hstack([linear.C, np.zeros((linear.n_outputs, A.shape[0]))]) + through @ back
     n, k = linear.n_states, A.shape[0]
+    # state matrix of the closed loop from sample to sample
     moves = np.block([[Phi, np.zeros((n, k))], [np.zeros((k, n)), A]]) + np.vstack([Gamma @ back, B @ seen])
     loop = linear.with_arrays(
         A=moves, B=np.zeros((n + k, linear.n_inputs)), C=seen, dt=record.dt,
@@ -128,8 +134,8 @@ def as_it_runs(model: PhysicalModel, record: Measurement) -> LinearModel:
     return loop
 
 
-_WINDOWS = 10  # of a record whose model integrates
-_GROWTH = 3.0  # log by which an unstable mode may grow over a free run: an error of its start as well
+_WINDOWS = 10  # windows of a record whose model integrates
+_GROWTH = 3.0  # log of the growth of an unstable mode, and of an error of the initial state, in a free run
 
 
 def checked_horizon(horizon: Any, known_start: bool = False) -> float | None:
@@ -156,10 +162,12 @@ def integrates(linear: LinearModel, record: Measurement) -> bool:
     if linear.n_states == 0:
         return False
     poles, right = np.linalg.eig(linear.A)
+    # integrators: |s| dt or |z - 1| is zero over the length of the record
     turned = np.abs(poles) * record.dt if linear.is_continuous else np.abs(poles - 1.0)
     slow = turned * record.n_samples < 1e-3
     if not slow.any():
         return False
+    # an integrator counts only where it reaches an output
     step = np.linalg.norm(linear.C, axis=0) @ np.abs(right[:, slow])
     return bool(np.any(step > 1e-9 * np.linalg.norm(linear.C)))
 
@@ -171,6 +179,7 @@ def runs_away(linear: LinearModel, record: Measurement) -> bool:
     """
     poles = np.linalg.eigvals(linear.A) if linear.n_states else np.zeros(0)
     with np.errstate(divide="ignore"):
+        # growth per sample: exp(Re(s) dt) or |z|
         rates = poles.real * record.dt if linear.is_continuous else np.log(np.abs(poles))
     return bool(rates.max(initial=0.0) * record.n_samples > _GROWTH)
 
@@ -213,6 +222,7 @@ def free_runs(
     """
     seconds, note, least = checked_horizon(horizon, known_start), "", 1
     n_states = max(model.n_states for model in models)
+    # default horizon: the whole record, unless the model is unstable or integrates
     if seconds is None:
         kinds = {(record.dt, record.n_samples): record for record in records}.values()
         if any(runs_away(m, r) for m in models if m.is_continuous for r in kinds):
@@ -231,6 +241,7 @@ def free_runs(
     found = []
     for record in records:
         n, n_outputs = record.n_samples, record.outputs.shape[0]
+        # whole number of equal windows closest to the horizon
         count = min(max(1, round(n * record.dt / seconds)), max(1, n // least))
         if count > 1 and n // count * n_outputs <= n_states:
             raise DataError(

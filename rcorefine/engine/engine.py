@@ -29,15 +29,16 @@ from .matrices import continuous_matrices
 from .setting import Setting, setting
 from .structure import Structure
 
-MOST_SUBSTEPS = 10_000  # of a sample: beyond, no model is one
+MOST_SUBSTEPS = 10_000  # substeps per sample, at most
 
-# times the largest value of an output in the record: no model of it goes there; where a right-hand side that
-# is not linear does (in a unit of a thousandth at the utmost), it runs away within samples
+# multiples of the largest output in the record at which a simulation has diverged; a nonlinear right-hand
+# side runs away within samples, so that the bound is lower (units may be off by a factor of 1000)
 _FAR, _FAR_OF_FIELD = 1e12, 1e5
-_RUNS_AWAY = 100.0  # times: from there on the motion tells of the growth only
-_BEYOND = 1e100  # nor any state here, whatever its unit
-_WHOLE = 0.05  # of a sample by which an estimated delay may exceed a whole number and count as one
-# share of a record that may hang on what was before it; of later windows a law could choose what to hide
+_RUNS_AWAY = 100.0  # multiple of the record beyond which the motion shows only the growth
+_BEYOND = 1e100  # bound of every state, in any unit
+_WHOLE = 0.05  # excess in samples with which an estimated delay still counts as a whole number of samples
+# share of samples that may depend on the time before the record, in the first and in later windows: with
+# more of them an effect could gain by hiding samples
 _HIDDEN, _HIDDEN_LATER = 0.5, 0.1
 _NODES_FOR_DELAY = 8  # nodes per sample where an output is interpolated, or edges of inputs fall between them
 
@@ -102,6 +103,7 @@ class Engine:
         self._known_start = initial is not None
         self.lead = lead
         self._resets = sample_jumps(structure, data.dt)
+        # delays and clock drift: outputs are interpolated between the samples, inputs between the substeps
         if structure.output_delays or clock_drift(structure, structure.start())[1]:
             substeps = max(substeps, _NODES_FOR_DELAY)
         if data.hold == "bandlimited":
@@ -111,11 +113,12 @@ class Engine:
         self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest, data.elapsed)
         # a copy: a read-only view would have the march compiled once more
         self._measured = np.array(data.outputs.T, order="C")
-        point = structure.model.operating_point  # sensors are absolute
+        # operating point: sensors read absolute values, the model deviations
+        point = structure.model.operating_point
         self._level = np.zeros(structure.n_outputs) if point is None else point.outputs
         self._measured += self._level
         self._largest = np.abs(self._measured).max(axis=0, initial=0.0)
-        # a record to be filled in has no size
+        # an empty record has no size
         far = _FAR if structure.field is None else _FAR_OF_FIELD
         self._far = np.where(self._largest > 0, far * self._largest, np.inf)
         self._nowhere = np.zeros(self._measured.shape, dtype=np.uint8)
@@ -164,16 +167,18 @@ class Engine:
             If a state leaves all bounds.
         """
         s = self.structure
+        # p columns of derivatives: free coefficients, then initial states
         n, ny, m, N = s.n_states, s.n_outputs, s.n_forces, self.data.n_samples
         p = (s.n_parameters if sensitivity else 0) + (n if initial_state else 0)
         derivatives = sensitivity and s.n_parameters > 0
+        # matrices of one substep, and their derivatives by the coefficients
         at = setting(s, theta, self.data.dt / self.substeps, derivatives)
         drive = self._signal.drive(s, theta)
         if not sensitivity:
             drive = drive.held
         x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
         lead = self.lead if gain is None else gain
-        # initial states of what is linear add what no input and no other state changes
+        # linear model: initial states act by superposition, so their derivatives are computed separately
         lawless = not (m or s.output_statics or self._resets.size)
         apart = initial_state and use is None and lawless
         p -= n if apart else 0
@@ -206,8 +211,9 @@ class Engine:
                 f"the simulation left all bounds at sample {blew_up} (t = {blew_up * self.data.dt:.6g} s): "
                 "the model with these effects is unstable; start from other coefficients or bound them"
             )
+        # output delays act after the simulation, by interpolation
         for index, channel in s.output_delays:
-            if np.isfinite(Yout[:, channel]).all():  # where it blew up there is nothing to shift
+            if np.isfinite(Yout[:, channel]).all():  # after divergence there is nothing to delay
                 self._delay_output(theta, index, channel, Yout, SY, sensitivity, drive)
         return _trajectory(Yout - self._level, SY, X, F, blew_up)
 
@@ -216,7 +222,7 @@ class Engine:
         loop: Commands | None,
     ) -> int:  # fmt: skip
         """March over the record, from sample to sample where a loop asks for it."""
-        with np.errstate(all="ignore"):  # it notices what overflows; plain Python is as silent as compiled
+        with np.errstate(all="ignore"):  # the march detects overflow itself; no warnings, as in compiled code
             if loop is None:
                 blew_up: int = march(at.model, drive, observer, course, into)
             else:
@@ -231,7 +237,7 @@ class Engine:
         The model is linear. From the sample `until` on they are zero.
         """
         s, N = self.structure, self.data.n_samples
-        longest = 1 << (N - 1).bit_length()  # records of about one length share it
+        longest = 1 << (N - 1).bit_length()  # records of similar length share the result
         key = ("decay", theta[s.absorbed].tobytes(), gain.tobytes(), self.data.dt, self.substeps, longest)
         found = s.kept(key, lambda: at.decay(self.substeps, gain, longest))[:N]
         return found if until == N else np.where((np.arange(N) < until)[:, None, None], found, 0.0)
@@ -257,7 +263,8 @@ class Engine:
         s, at = self.structure, np.arange(self.data.n_samples)
         if not s.drifts and not any(isinstance(e.spec, InputLaw | OutputLaw) for e in s.effects):
             return np.ones((s.n_outputs, at.size), dtype=bool)
-        read = at + clock_drift(s, theta)[0] * (self.data.elapsed / self.data.dt + at)  # sample of the inputs
+        # sample at which the inputs are read
+        read = at + clock_drift(s, theta)[0] * (self.data.elapsed / self.data.dt + at)
         found = np.tile((read > -1.0 + _WHOLE) & (read < at.size - 1 + _WHOLE), (s.n_outputs, 1))
         if found.mean() < 0.5:
             found[:] = True
@@ -278,16 +285,19 @@ class Engine:
 
         It is found without nonlinear forces and serves as the unit of the state.
         """
+        # first run without nonlinear forces
         calm = theta.copy()
         if not self.structure.is_linear:
             calm[self.structure.port_columns] = 0.0
         run = self.run(calm, sensitivity=False, histories=True, check=False)
+        # leave out what follows after the motion has run away
         outputs, far = run.outputs.T + self._level, np.where(self._largest > 0, self._largest, np.inf)
         away = ~(np.abs(outputs) <= _RUNS_AWAY * far).all(axis=1)
         end = int(away.argmax()) if away.any() else -1
         reached = np.abs(run.states[:, : end if end > 0 else None]).max(axis=1, initial=0.0)
         if (reached > 0).all():
             return np.asarray(reached)
+        # states that did not move: the size that moves an output by its own size
         level = self._largest[:, None, None]
         slopes = self.run(calm, sensitivity=False, initial_state=True, check=False).sensitivity
         return own_sizes(reached, (slopes / np.where(level > 0, level, 1.0)).reshape(-1, reached.size))
@@ -305,6 +315,7 @@ class Engine:
         value, column = float(self.structure.value(theta, index, name)), self.structure.position(index, name)
         grid: Array = self.data.dt * np.arange(Y.shape[0], dtype=np.float64)
         corners = self._corners(theta, channel, SY.shape[2] if sensitivity else 0, drive)
+        # delay of the output, then of its derivatives, which have corners of their own
         late, slope = law.later(_course(grid, Y[:, channel], corners[..., 0]), value)
         if SY.shape[2]:
             slopes = SY[:, channel]
@@ -327,11 +338,12 @@ class Engine:
         p = min(columns, s.n_parameters)
         if drive.course or channel in [at for _, at in s.output_statics]:
             return np.zeros((2, N - 1, 1 + p))
+        # complex steps give the derivatives of C B (slope per unit of input) and C A B (curvature)
         points = np.vstack([theta, theta + 1e-30j * np.eye(theta.size)[:p]])
         at = continuous_matrices(s, points)
         C = at.C[:, None, channel]
         rows = np.concatenate([C @ at.B, C @ at.A @ at.B], axis=1)
-        inputs = [drive.W, *drive.dW]  # over the substeps
+        inputs = [drive.W, *drive.dW]  # inputs over the substeps, and their derivatives
         held, *moved = (W.reshape(N - 1, -1, W.shape[1]).mean(axis=1) for W in inputs)
         weights = np.concatenate([rows[:1].real, rows[1:].imag / 1e-30])
         found = np.einsum("nw,kow->onk", held, weights)
@@ -347,9 +359,11 @@ def _course(grid: Array, values: Array, corners: Array) -> CubicSpline:
     What has the slopes and curvatures `corners` (2, N - 1, ...) is taken off, and the rest is smooth.
     """
     (slope, bend), h = corners, grid[1] - grid[0]
+    # piecewise quadratic with these slopes and curvatures, continuous at the samples
     slope = slope + np.cumsum(bend * h, axis=0) - bend * h
     whole = np.concatenate([0.0 * slope[:1], np.cumsum(slope * h + bend * (h * h / 2), axis=0)])
     course = CubicSpline(grid, values - whole)
+    # add the quadratic to the coefficients of the cubic spline, highest power first
     course.c[-3:] += [bend / 2, slope, whole[:-1]]
     return course
 

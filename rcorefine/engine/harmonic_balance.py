@@ -22,18 +22,18 @@ from .kernels import law_over_period, memory_over_period
 from .structure import Structure
 
 Complex = NDArray[np.complex128]
-_LEAK = 1e-7  # of the frequency: an integrator leaks that much, so that its mean is defined
-_SAMPLES_PER_JUMP = 1.5  # a jumping force is spread over as many samples, so that its slope is seen
+_LEAK = 1e-7  # share of the frequency by which an integrator leaks, so that its mean is defined
+_SAMPLES_PER_JUMP = 1.5  # a jumping force is smoothed over them, so that its slope enters the Jacobian
 _TOLERANCE = 1e-8
 _RIDGE = 1e-12
 _UNSTABLE = 1.001
-# of all lines of a measured response
+# harmonics and samples for all lines of a measured response
 _HARMONICS, _HARMONICS_FOR_JUMPS = 5, 9
 _TIMES, _TIMES_FOR_JUMPS = 48, 256
-_FAR, _FAR_SHARE = 5.0, 0.1  # standard deviations and share of a point, beyond which another answer is sought
-_MOST_OFF = 0.3  # share of such lines, above which another answer would not help
-_STEP = 1e-6  # of a coefficient, for differences
-# of one sine at a time
+_FAR, _FAR_SHARE = 5.0, 0.1  # standard deviations, share of a point, above which another solution is tried
+_MOST_OFF = 0.3  # share of such lines above which the model is wrong, and not the chosen solution
+_STEP = 1e-6  # relative step of a coefficient for finite differences
+# samples for one sine at a time
 _TIMES_OF_ONE_FOR_JUMPS = 512
 # how a solution is approached: (spread of a jumping force, strength of all laws) from step to step
 _Plan = tuple[tuple[float, float], ...]
@@ -95,13 +95,15 @@ class Balance:
         self.structure, self.harmonics = structure, harmonics
         self.omega, self.peaks, self.channels = omega, peaks, channels
         self.laws = [structure.effects[index].spec for index in structure.port_effects]
+        # Fourier basis over one period: complex (T, K + 1), and real [1, cos, sin, cos 2, ...] (T, 2 K + 1)
         turn, order = 2 * np.pi * np.arange(times) / times, np.arange(1, harmonics + 1)
         self.waves = np.exp(1j * np.outer(turn, np.arange(harmonics + 1)))  # (T, K + 1)
         pairs = np.stack([np.cos(np.outer(turn, order)), np.sin(np.outer(turn, order))], axis=2)
         self.basis = np.hstack([np.ones((times, 1)), pairs.reshape(times, -1)])
+        # Fourier analysis: samples (..., T) to coefficients (..., 2 K + 1)
         self.analysis = self.basis.T * (2.0 / times)
         self.analysis[0] /= 2.0
-        self.spread, self.strength = 1.0, 1.0  # of a jumping force, and of all laws
+        self.spread, self.strength = 1.0, 1.0  # smoothing of a jumping force, strength of all laws
 
     # ------------------------------------------------------------------ linear part
     def maps(self, theta: Array) -> _Maps:
@@ -109,15 +111,18 @@ class Balance:
         s, M = self.structure, self.structure.matrices(theta.astype(float))
         n, m, K = s.n_states, s.n_ports, self.harmonics + 1
         sines = self._sines(theta)  # (L, K)
+        # s = j k omega of each line and harmonic, (L, K + 1)
         shift = 1j * np.outer(self.omega, np.arange(K))
         shift[:, 0] = _LEAK * self.omega
         right = np.empty((self.omega.size, K, n, m + 2), complex)
         right[..., :m] = M.E[:, :m]
         right[..., m] = M.B[:, self.channels].T[:, None, :]
         right[..., m + 1] = M.B[:, -1]
+        # (s I - A)^-1 times the columns of the forces, of the driven input and of the constant
         states = np.linalg.solve(shift[..., None, None] * np.eye(n) - M.A, right)
         sensed = np.einsum("in,lknm->limk", M.P[:, :n], states)
         outputs = np.einsum("in,lknm->limk", M.C, states)
+        # motion and outputs that the sine alone causes
         free = (sensed[:, :, m] + M.P[:, n:][:, self.channels].T[:, :, None]) * sines[:, None, :]
         through = (outputs[:, :, m] + M.D[:, self.channels].T[:, :, None]) * sines[:, None, :]
         sizes = np.linalg.svd(M.A, compute_uv=False)
@@ -137,6 +142,7 @@ class Balance:
         Dead zones, saturations and delays are included.
         """
         s = self.structure
+        # a cosine over one period; static laws act in time, the delay on the phase
         signal = self.peaks[:, None] * self.basis[:, 1]
         order, late = np.arange(self.harmonics + 1), np.zeros(self.omega.size)
         for index, channel in s.input_statics:
@@ -148,7 +154,7 @@ class Balance:
                     late[line] += values[0]
                 else:
                     step = 2 * np.pi / self.omega[line] / signal.shape[1]
-                    signal[line] = _periodic(law, signal[line], values, step=step)
+                    signal[line] = _through_law(law, signal[line], values, step=step)
         late_by = np.exp(-1j * np.outer(self.omega * late, order))
         return np.asarray(_phasors(signal @ self.analysis.T) * late_by)
 
@@ -162,13 +168,15 @@ class Balance:
         for index, channel in s.output_statics:
             law = s.effects[index].spec
             assert isinstance(law, OutputLaw)
+            # law of the sensor: synthesis, law in time, Fourier analysis
             values = s.law_values(theta, index)
             times = np.real(Y[:, channel] @ self.waves.T)
-            seen = np.array([_periodic(law, row, values) for row in times])
+            seen = np.array([_through_law(law, row, values) for row in times])
             Y[:, channel] = _phasors(seen @ self.analysis.T)
         for index, channel in s.output_delays:
             law = s.effects[index].spec
             assert isinstance(law, OutputLaw)
+            # delay tau of the sensor: harmonic k times exp(-j k omega tau)
             at = np.outer(self.omega, np.arange(self.harmonics + 1.0))
             late = law.response(at.ravel(), s.law_values(theta, index)[0])[0]
             Y[:, channel] *= late.reshape(at.shape)
@@ -185,13 +193,16 @@ class Balance:
         rest, slope, wrong = self.mismatch(theta, maps, forces, active, slopes=True)
         error[active] = wrong
         for _ in range(self.iterations):
+            # lines that have not converged
             open_ = wrong > _TOLERANCE
             if not open_.any():
                 break
             active, rest, slope, wrong = active[open_], rest[open_], slope[open_], wrong[open_]
-            step = -_solved(slope, rest.reshape(len(rest), -1, 1))[..., 0].reshape(rest.shape)
+            # Newton step
+            step = -_solve_each(slope, rest.reshape(len(rest), -1, 1))[..., 0].reshape(rest.shape)
             share, todo = np.ones(active.size), np.arange(active.size)
             trial = forces[active]
+            # damping: halve the step of each line until its mismatch decreases
             for _ in range(self.halvings):
                 trial[todo] = forces[active[todo]] + share[todo, None, None] * step[todo]
                 now = self.mismatch(theta, maps, trial, active, at=todo)[2]
@@ -201,7 +212,7 @@ class Balance:
                     break
                 share[todo] *= 0.5
             better = np.ones(active.size, dtype=bool)
-            better[todo] = False  # who is stuck stays where it was
+            better[todo] = False  # a line without a decrease keeps its forces
             active, trial = active[better], trial[better]
             if not active.size:
                 break
@@ -230,6 +241,7 @@ class Balance:
         where = where if at is None else lines[at]
         sensed = maps.sensed[where]
         m, size = F.shape[1:]
+        # alternating frequency/time: forces to motion by harmonics, then motion in time
         motion = maps.free[where] + np.einsum("limk,lmk->lik", sensed, _phasors(F))
         times = np.real(motion @ self.waves.T)  # (L, 2 m, T)
         rest, slope = F.copy(), np.zeros((0, 0, 0))
@@ -237,6 +249,7 @@ class Balance:
             slope = np.tile(np.eye(m * size), (len(F), 1, 1))
         scale = np.abs(F).max(axis=(1, 2))
         for j in range(m):
+            # force of the law in time, back to Fourier coefficients
             f, *by = self.law(theta, j, times[:, j], times[:, m + j], maps.inputs[where])
             hat = self.strength * (f @ self.analysis.T)
             rest[:, j] -= hat
@@ -244,6 +257,7 @@ class Balance:
             for row, one in zip((j, m + j), by, strict=True):
                 if not slopes or not one.any():
                     continue
+                # chain rule: slope of the law times motion per Fourier coefficient of force i
                 for i in range(m):
                     waves = sensed[:, row, i, None, :] * self.waves  # (L, T, K + 1)
                     real = np.empty((*waves.shape[:2], size))
@@ -263,13 +277,14 @@ class Balance:
         codes, values, _, widths = self.structure.laws(theta)
         code, row, width, law = int(codes[j]), values[j : j + 1], float(widths[j]), self.laws[j]
         if law.inner_states:
-            found = [_memory(code, row, *line) for line in zip(d, v, w, strict=True)]
+            found = [_periodic_with_memory(code, row, *line) for line in zip(d, v, w, strict=True)]
             force, by = (np.array(part) for part in zip(*found, strict=True))
             return force, by, np.zeros(d.shape)
         if not law.jumps:
             flat = law_over_period(code, d.ravel(), v.ravel(), w.reshape(d.size, -1), row, width)
             force, by, by_rate = flat.reshape(3, *d.shape)
             return force, by, by_rate
+        # smooth a jump over 1.5 samples at the largest acceleration (of a sine, ptp(v) pi / T a sample)
         widest = _SAMPLES_PER_JUMP * np.ptp(v, axis=1) * np.pi / d.shape[1]
         spread = np.maximum(width, widest) * self.spread
         each = np.array(
@@ -335,6 +350,7 @@ class SineBalance(Balance):
 
         Each row is a signal; the order is that of `SteadyState.forces`.
         """
+        # coefficients of cosines and sines from the real FFT
         spectrum = np.fft.rfft(period, axis=1) / period.shape[1]
         found = np.zeros((period.shape[0], 2 * self.harmonics + 1))
         count = min(self.harmonics, spectrum.shape[1] - 2)
@@ -361,6 +377,7 @@ class SineBalance(Balance):
         maps, m = self.maps(self.theta), self.structure.n_ports
         rest = np.zeros((1, m, self.basis.shape[1]))
         best, error = rest, 0.0 if m == 0 else np.inf
+        # initial guesses at once, then with jumps that become sharper, last with laws that grow from zero
         begun = [start[None] for start in starts] + [rest]
         plans = [(start, _AT_ONCE) for start in begun] + [(start, _NARROWING) for start in begun]
         for point, plan in [*plans, (rest, _GROWING), (rest, _SLOWLY)]:
@@ -381,6 +398,7 @@ class SineBalance(Balance):
         m, n, count = self.structure.n_ports, self.structure.n_states, len(self.waves)
         if any(law.inner_states for law in self.laws):
             return 0.0
+        # linearization about the periodic motion: A(t) = A + sum_j E_j (df/dd P_d + df/dv P_v)
         motion = maps.free + np.einsum("limk,lmk->lik", maps.sensed, _phasors(forces))
         times = np.real(motion @ self.waves.T)
         M = self.structure.matrices(self.theta.astype(float))
@@ -389,6 +407,7 @@ class SineBalance(Balance):
             _, *by = self.law(self.theta, j, times[:, j], times[:, m + j], maps.inputs)
             for one, row in zip(by, (j, m + j), strict=True):
                 rates += one[0][:, None, None] * np.outer(M.E[:, j], M.P[row, :n])
+        # monodromy matrix over one period; its eigenvalues are the Floquet multipliers
         turn = np.eye(n)
         for step in exponential(rates * (2 * np.pi / omega / count)):
             turn = step @ turn
@@ -438,6 +457,7 @@ class LineBalance(Balance):
         """
         size = self.basis.shape[1]
         forces = np.zeros((self.omega.size, self.structure.n_ports, size))
+        # harmonics that both models have
         if other is not None and other._forces is not None:
             common = min(size, other._forces.shape[2])
             forces[:, : other._forces.shape[1], :common] = other._forces[:, :, :common]
@@ -450,7 +470,7 @@ class LineBalance(Balance):
         It is the fundamental of the outputs over the sine of the input, shape (n_y, n_w, n_omega).
         """
         maps = self.maps(theta)
-        forces = self._answers(theta, maps)
+        forces = self._solve_forces(theta, maps)
         outputs = self._fundamental(theta, maps, forces)
         slopes = []
         if derivatives:
@@ -459,7 +479,7 @@ class LineBalance(Balance):
                 slope = self.mismatch(theta, maps, forces, slopes=True)[1]
             for k in range(theta.size):
                 slopes.append(self._slope(theta, k, forces, outputs, slope))
-        return self._shaped(outputs), slopes
+        return self._as_response(outputs), slopes
 
     def _slope(self, theta: Array, k: int, forces: Array, outputs: Complex, slope: Array) -> Complex:
         """Return the derivative of the response by one coefficient.
@@ -472,10 +492,11 @@ class LineBalance(Balance):
         maps = self.maps(ahead)
         moved = forces
         if forces.size:
+            # implicit function theorem: dF/dtheta = -(dR/dF)^-1 dR/dtheta, R(F, theta) the mismatch
             rest = self.mismatch(ahead, maps, forces)[0]
             flat = rest.reshape(len(rest), -1, 1)
-            moved = forces - _solved(slope, flat)[..., 0].reshape(forces.shape)
-        return self._shaped((self._fundamental(ahead, maps, moved) - outputs) / step)
+            moved = forces - _solve_each(slope, flat)[..., 0].reshape(forces.shape)
+        return self._as_response((self._fundamental(ahead, maps, moved) - outputs) / step)
 
     def _size(self, k: int) -> float:
         """A size of a coefficient that is zero."""
@@ -487,12 +508,12 @@ class LineBalance(Balance):
     def _fundamental(self, theta: Array, maps: _Maps, forces: Array) -> Complex:
         return self.outputs(theta, maps, forces)[:, :, 1]
 
-    def _shaped(self, lines: Complex) -> Complex:
+    def _as_response(self, lines: Complex) -> Complex:
         n_y = lines.shape[1]
         points = (lines / self.peaks[:, None]).reshape(self.record.n_inputs, -1, n_y)
         return np.asarray(np.moveaxis(points, -1, 0))
 
-    def _answers(self, theta: Array, maps: _Maps) -> Array:
+    def _solve_forces(self, theta: Array, maps: _Maps) -> Array:
         """Return forces that agree with the motion that they cause.
 
         Their shape is (L, m, 2 K + 1). Of several solutions, the one nearest to the measured points is taken.
@@ -502,25 +523,28 @@ class LineBalance(Balance):
             return np.zeros(shape)
         fresh = self._forces is None
         best = self._from_measured(theta, maps) if self._forces is None else self._forces
+        # Newton's method from the last forces
         best, error = self.newton(theta, maps, best, np.arange(shape[0]))
-        off = self._off(theta, maps, best)
+        off = self._distance(theta, maps, best)
         if not fresh and np.mean(off > 1.0) > _MOST_OFF:
-            off[:] = 0.0  # the model is wrong, not the answer that was chosen
+            off[:] = 0.0  # the model is wrong, and not the chosen solution
+        # another initial guess for lines that did not converge or lie far from the measured point
         for start in (self._from_measured(theta, maps), np.zeros(shape))[: 2 if fresh else 1]:
             again = np.flatnonzero((error > _TOLERANCE) | (off > 1.0))
             if not again.size:
                 break
             tried, left = self.newton(theta, maps, start, again)
+            # accept it where it converged and is nearer to the measured point
             nearer = (left[again] <= np.maximum(error[again], _TOLERANCE)) & (
-                (error[again] > _TOLERANCE) | (self._off(theta, maps, tried)[again] < off[again])
+                (error[again] > _TOLERANCE) | (self._distance(theta, maps, tried)[again] < off[again])
             )
             taken = again[nearer]
             best[taken], error[taken] = tried[taken], left[taken]
-            off = self._off(theta, maps, best)
+            off = self._distance(theta, maps, best)
         self._forces = best
         return best
 
-    def _off(self, theta: Array, maps: _Maps, forces: Array) -> Array:
+    def _distance(self, theta: Array, maps: _Maps, forces: Array) -> Array:
         """Return the scaled distance of each line from its measured point.
 
         Above 1, another solution is worth a try.
@@ -532,14 +556,16 @@ class LineBalance(Balance):
 
     def _from_measured(self, theta: Array, maps: _Maps) -> Array:
         """Return the forces for the motion that gives the measured outputs."""
+        # least-squares forces at the fundamental that give the measured outputs
         rest = self.measured - maps.through[:, :, 1]
-        first = _shortest(maps.outputs[..., 1], rest[..., None])[..., 0]
+        first = _least_squares(maps.outputs[..., 1], rest[..., None])[..., 0]
         forces = np.zeros((len(first), first.shape[1], self.basis.shape[1]))
         forces[:, :, 1], forces[:, :, 2] = first.real, -first.imag
+        # forces of the laws for that motion
         return forces - self.mismatch(theta, maps, forces)[0]
 
 
-def _periodic(law: InputLaw | OutputLaw, signal: Array, values: Any, step: float = 1.0) -> Array:
+def _through_law(law: InputLaw | OutputLaw, signal: Array, values: Any, step: float = 1.0) -> Array:
     """Return a period behind a law.
 
     With memory, the second of two turns has forgotten where it began.
@@ -548,12 +574,12 @@ def _periodic(law: InputLaw | OutputLaw, signal: Array, values: Any, step: float
     return np.asarray(law.through(np.tile(signal, turns), *values, step=step)[0][-signal.size :])
 
 
-def _memory(code: int, row: Array, d: Array, v: Array, w: Array) -> tuple[Array, Array]:
+def _periodic_with_memory(code: int, row: Array, d: Array, v: Array, w: Array) -> tuple[Array, Array]:
     """Return a periodic force with an inner state, and its derivatives.
 
     After one period the inner state returns to its starting value.
     """
-    # after a turn the inner state is affine in its start: here is where it returns to itself
+    # the inner state after one period is affine in its initial value: solve for the fixed point
     _, _, end, slope, left = memory_over_period(code, d, v, w, row, 0.0, np.zeros(d.size))
     lost = 1.0 - left
     start, slope = (end / lost, slope / lost) if lost > 1e-12 else (0.0, np.zeros(d.size))
@@ -570,16 +596,17 @@ def _phasors(coded: Array) -> Complex:
     return np.concatenate([mean, coded[..., 1::2] - 1j * coded[..., 2::2]], axis=-1)
 
 
-def _solved(slope: Array, right: Array) -> NDArray[Any]:
+def _solve_each(slope: Array, right: Array) -> NDArray[Any]:
     """Solutions of many small systems; a singular one takes the shortest step."""
     try:
         return np.asarray(np.linalg.solve(slope, right))
     except np.linalg.LinAlgError:
-        return _shortest(slope, right)
+        return _least_squares(slope, right)
 
 
-def _shortest(matrices: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
+def _least_squares(matrices: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
     """Least squares of many small systems, along what they see."""
+    # normal equations with a small ridge
     turned = np.swapaxes(matrices.conj(), 1, 2)
     normal = turned @ matrices
     ridge = _RIDGE * np.trace(normal, axis1=1, axis2=2).real[:, None, None] + 1e-300

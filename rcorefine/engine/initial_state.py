@@ -19,10 +19,10 @@ from .observer import observer_gain
 from .structure import Structure
 
 _RATIOS = (0.1, 0.01)  # observer gains on the way to the free run, high to low
-_NEAR = 1e-3  # share of the cost by which a step on that way must lower it: it ends elsewhere anyway
-_BRIEF = 0.63  # what is left of a mode after a sample, if a hundredth is left after ten
-_TELLS = 0.5  # of the spread of an output that the free run from rest may leave, if the model's modes count
-_WIDE = 1000.0  # standard deviations of how a brief mode starts, over the largest motion that it shows
+_NEAR = 1e-3  # relative decrease of the cost below which such a step ends, since it is only an initial guess
+_BRIEF = 0.63  # decay of a mode per sample that leaves a hundredth after ten samples
+_TELLS = 0.5  # error of the free run over the spread of the output up to which the model's modes count
+_WIDE = 1000.0  # prior standard deviation of a brief mode over its largest motion
 
 
 def brief_modes(engine: Engine) -> Array:
@@ -46,25 +46,26 @@ def brief_modes(engine: Engine) -> Array:
     structure, theta, data = Structure(engine.structure.model), np.zeros(0), engine.data
     n, added = structure.n_states, engine.structure.n_states - structure.n_states
     none = np.zeros((0, n + added))
-    if not n or structure.model.controller is not None:  # in a loop modes are not those of the matrices
+    if not n or structure.model.controller is not None:  # in a loop the modes are those of the closed loop
         return none
     Phi = exponential(structure.matrices(theta).A[None] * data.dt)[0]
     if not np.isfinite(Phi).all() or np.abs(np.linalg.eigvals(Phi)).min() >= _BRIEF:
         return none
-    alone = Engine(structure, data, substeps=engine.substeps)
+    # states of the free run and of the observer: how large they become
+    bare = Engine(structure, data, substeps=engine.substeps)
     gain = observer_gain(structure, theta, data, 1.0)
     with np.errstate(all="ignore"):
-        free, led = (
-            alone.run(theta, sensitivity=False, gain=g, histories=True, check=False)
+        free, corrected = (
+            bare.run(theta, sensitivity=False, gain=g, histories=True, check=False)
             for g in (np.zeros_like(gain), gain)
         )
         left = (data.outputs - free.outputs).std(axis=1)
-    if not np.all(left < _TELLS * data.outputs.std(axis=1)):  # a model so far off has other modes
+    if not np.all(left < _TELLS * data.outputs.std(axis=1)):  # the plant has other modes than such a model
         return none
-    sound = [run.states for run in (free, led) if np.isfinite(run.states).all()]
+    sound = [run.states for run in (free, corrected) if np.isfinite(run.states).all()]
     sizes = np.max([np.abs(states).max(axis=1) for states in sound], axis=0)
     sizes = np.where(sizes > 0, sizes, 1.0)
-    # a left invariant subspace: what it takes of the state depends on the past by brief modes alone
+    # left invariant subspace of the brief modes, by an ordered Schur form
     _, Q, k = schur((Phi * sizes / sizes[:, None]).T / _BRIEF, "real", sort="iuc")
     rows = Q[:, :k].T / sizes
     moved = np.max([np.abs(rows @ states).max(axis=1) for states in sound], axis=0)
@@ -122,9 +123,10 @@ def estimate_initial_state(
     weights = weights[:, None] * (judged if use is None else judged & use.T)
     calm = theta.copy()
     if not engine.structure.is_linear:
-        calm[engine.structure.port_columns] = 0.0  # without its nonlinear forces: a safe first guess
+        calm[engine.structure.port_columns] = 0.0  # first guess without nonlinear forces
     prior = np.zeros((0, engine.structure.n_states))
 
+    # residual and Jacobian of the initial state; rows of the prior below
     def rows(theta: Array, point: Array, gain: Array | None = gain) -> Rows:
         run = engine.run(theta, point, sensitivity=False, initial_state=True, gain=gain, use=use, check=False)
         error = (weights * (run.outputs - engine.data.outputs)).ravel()
@@ -134,21 +136,23 @@ def estimate_initial_state(
         return Rows(error if sound else np.full(1, np.inf), slopes)
 
     rest = np.zeros(engine.structure.n_states)
+    # Gauss-Newton on the linear part, exact in one step
     descend = partial(gauss_newton, sizes=engine.state_sizes(theta), tolerance=1e-8, damping=0.0)
     linear = partial(descend, partial(rows, calm), rest, evaluations=3)
     found = linear()
     known = brief_modes(engine) if gain is None and np.isfinite(found.cost) else prior
     if np.any(np.abs(known @ found.point) > 1.0):
-        # in units of what the best start leaves: an exact record keeps its exact start
+        # prior in units of the remaining residual, so that an exact record keeps its exact initial state
         left = 2.0 * found.cost / max(1.0, float(np.count_nonzero(weights)))
         prior = known * np.sqrt(left)
         found = linear()
     if engine.structure.is_linear:
         return found.point
     whole = partial(rows, theta)
-    # where the linear part alone explains little, its start may lie beyond every motion: rest is nearer then
+    # the initial state of the linear part may lie far outside of the motion: compare it with rest
     nearer = min(found.point, rest, key=lambda point: float(np.sum(whole(point).residual ** 2)))
-    for ratio in _RATIOS if gain is None else ():  # a free run far off has valleys; one that is led has few
+    # nonlinear: approach the free run by observers of falling gain, then refine it
+    for ratio in _RATIOS if gain is None else ():  # a free run has local minima, an observer few
         lead = observer_gain(engine.structure, theta, engine.data, ratio)
         if np.isfinite(lead).all():
             nearer = descend(partial(rows, theta, gain=lead), nearer, evaluations=12, tolerance=_NEAR).point

@@ -37,10 +37,13 @@ def interpolate_band_limited(w: Array, factor: int) -> Array:
     """
     n = w.shape[1]
     half = min(_HALF_LENGTH, n - 1)
+    # windowed-sinc low-pass filter with its cutoff at the Nyquist frequency of the samples
     taps = firwin(2 * half * factor + 1, 1.0 / factor, window=("kaiser", 9.0)) * factor
+    # continue both ends by point reflection
     left = 2 * w[:, :1] - w[:, half:0:-1]
     right = 2 * w[:, -1:] - w[:, -2 : -half - 2 : -1]
     padded = np.hstack([left, w, right])
+    # insert zeros between the samples and filter; then cut off the delay of the filter
     fine = np.stack([upfirdn(taps, row, up=factor) for row in padded])
     start = 2 * half * factor
     fine = fine[:, start : start + (n - 1) * factor + 1]
@@ -101,18 +104,19 @@ class InputSignal:
     ) -> None:
         self.inputs, self.dt, self.hold, self.substeps = inputs, dt, hold, substeps
         self.begin = begin
-        self.before = 0.0 if at_rest else 1.0  # over the first value
+        self.before = 0.0 if at_rest else 1.0  # input before the record over its first value
         n = inputs.shape[1]
         self._fine: Array | None = None
         if hold == "bandlimited":
             coarse = interpolate_band_limited(inputs, BAND_LIMITED_FACTOR)
-            # straight lines between the nodes lose (omega h)^2 / 12 of a sinusoid: it is given back
+            # linear interpolation between the nodes loses (omega h)^2 / 12 of a sine: correct for it
             coarse[:, 1:-1] -= np.diff(coarse, 2) / 12.0
             self._fine = straight_lines(coarse, substeps // BAND_LIMITED_FACTOR)
         elif hold == "foh":
             self._fine = straight_lines(inputs, substeps)
         rows = n - 1
         held = np.repeat(inputs[:, :rows], substeps, axis=1) if self._fine is None else self._fine
+        # last column: the constant input 1 of operating points and offsets
         self._base = np.ascontiguousarray(np.vstack([held, np.ones((1, held.shape[1]))]).T)
         self._base_out = np.ascontiguousarray(np.vstack([inputs, np.ones((1, n))]).T)
         empty, none = np.zeros((0, *self._base.shape)), np.zeros((0, *self._base_out.shape))
@@ -135,19 +139,22 @@ class InputSignal:
         dWout: list[Array] = []
         channels = range(len(self.inputs)) if drifts else sorted({c for _, c in statics})
         for channel in channels:
+            # effects of this input: static laws first, then delay and clock drift
             here = [index for index, c in statics if c == channel]
             samples = self.inputs[channel] if self._fine is None else self._fine[channel]
             signal, slopes = self._statics(structure, theta, here, channel, samples)
             delay, column = _delay(structure, theta, here)
             signals = [signal, *slopes.values()]
             times: list[tuple[int, Array, Array]] = []
+            # shift in time, with the derivatives by the delay and by the drift
             if delay or drift or drifts or column >= 0 or moving:
-                at = self._shifted(np.array(signals), delay, drift, moving)
+                at = self._shift(np.array(signals), delay, drift, moving)
                 at_nodes, at_samples, by_delay, by_drift = at
                 times = [(column, *by_delay), *((which, *by_drift) for which in drifts)]
             else:
                 at_nodes, at_samples = self._in_time(np.array(signals))
             W[:, channel], Wout[:, channel] = at_nodes[0], at_samples[0]
+            # derivatives of the input by the free coefficients, one array (rows, n_w) each
             derivatives = [*zip(slopes, at_nodes[1:], at_samples[1:], strict=True), *times]
             for which, fine, coarse in derivatives:
                 if which >= 0:
@@ -179,11 +186,12 @@ class InputSignal:
             level = point.inputs[channel]
             value = np.concatenate([[level], signal + level])
         slopes = np.zeros((0, value.size))
+        # laws in series: each takes the output of the one before, with its derivatives
         for index in effects:
             law = structure.effects[index].spec
             if law.delays or not isinstance(law, InputLaw):
                 continue
-            if held and law.moves_on and step == self.dt:  # from here on in halves of substeps
+            if held and law.moves_on and step == self.dt:  # from here on two values per substep
                 spread = np.repeat([1, 2 * self.substeps], [lead, value.size - lead])
                 value, slopes = np.repeat(value, spread), np.repeat(slopes, spread, axis=1)
                 step /= 2 * self.substeps
@@ -195,6 +203,7 @@ class InputSignal:
             free = [c for c, column in enumerate(found) if column >= 0]
             slopes = np.vstack([slopes, own[free]])
             columns += [found[c] for c in free]
+        # back to deviations from the operating point
         if point is not None:
             value = value[1:] - (value[0] if structure.balanced else level)
             slopes = slopes[:, 1:] - (slopes[:, :1] if structure.balanced else 0.0)
@@ -206,7 +215,7 @@ class InputSignal:
             return np.repeat(signals[:, :-1], self.substeps, axis=1), signals
         return signals, signals[:, :: self.substeps]
 
-    def _shifted(
+    def _shift(
         self, signals: Array, delay: float, drift: float, moving: bool
     ) -> tuple[Array, Array, tuple[Array, Array], tuple[Array, Array]]:
         """Return delayed and drifting signals at nodes and samples.
@@ -219,8 +228,10 @@ class InputSignal:
             return self._means(signals, delay, drift, moving)
         step = self.dt / self.substeps
         grid = np.arange(signals.shape[1]) * step
+        # time at which each node reads the input
         shifted = grid - delay + drift * (self.begin + grid)
         at_nodes = np.array([np.interp(shifted, grid, s, left=self.before * s[0]) for s in signals])
+        # rate of the input there: derivative by the delay with a minus sign
         cell = np.clip(np.floor(shifted / step + 1e-9).astype(int), 0, len(grid) - 2)
         known = (shifted >= 0) & (shifted <= grid[-1])
         rate = np.where(known, np.diff(signals[0])[cell] / step, 0.0)
@@ -230,34 +241,37 @@ class InputSignal:
     def _means(
         self, signals: Array, delay: float, drift: float, moving: bool
     ) -> tuple[Array, Array, tuple[Array, Array], tuple[Array, Array]]:
-        """As `_shifted`, of held signals: the means over the substeps.
+        """As `_shift`, of held signals: the means over the substeps.
 
         So no impulse is lost where a delayed edge falls inside a substep. Where an actuator is `moving`
         they are straight lines with the means of both halves of the substep, which a ramp is itself.
         """
         n, size = self.inputs.shape[1], signals.shape[1]  # size: of samples, or of halves of substeps
+        # edges of the substeps, and samples, on the time axis of the inputs
         parts = self.substeps * (2 if moving else 1)
         grid: NDArray[Any] = np.arange((n - 1) * parts + 1) * (self.dt / parts)
         samples, edges = (t - delay + drift * (self.begin + t) for t in (np.arange(n) * self.dt, grid))
         span, width = self.dt * n / size, self.dt / parts * (1.0 + drift)
         knots = np.arange(size + 1) * span
         means = np.empty((len(signals), edges.size - 1))
+        # mean over a substep: difference of the integral of the held signal
         for mean, signal in zip(means, signals, strict=True):
             integral = np.interp(edges, knots, np.concatenate([[0.0], np.cumsum(signal) * span]))
             integral += np.minimum(edges, 0.0) * self.before * signal[0]
             integral += np.maximum(edges - knots[-1], 0.0) * signal[-1]
             mean[:] = np.diff(integral) / width
-        levels = np.hstack([self.before * signals[:, :1], signals])  # before, then of each
+        levels = np.hstack([self.before * signals[:, :1], signals])  # before the record, then each sample
 
         def cell(when: Array) -> NDArray[np.int64]:
             return np.asarray(np.clip(np.floor(when / span + 1e-9), -1, size - 1) + 1, dtype=np.int64)
 
         held, at_edges = levels[:, cell(samples)], levels[0][cell(edges)]
+        # the mean changes with the delay by the difference between both edges
         by_delay = -np.diff(at_edges) / width
         by_drift = np.diff(at_edges * (self.begin + grid)) / width - means[0] / (1.0 + drift)
         if moving:
             means, by_delay, by_drift = _lines(means), _lines(by_delay), _lines(by_drift)
-            if size > n:  # it does not jump
+            if size > n:  # an actuator with a rate limit does not jump
                 held = np.hstack([means[:, ::parts], means[:, -1:]])
         return means, held, (by_delay, np.zeros(n)), (by_drift, np.zeros(n))
 

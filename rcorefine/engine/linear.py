@@ -21,9 +21,9 @@ from .inputs import Drive
 if TYPE_CHECKING:
     from .march import MarchResult
 
-_FEW = 12  # samples that are cheaper one by one
-_LARGE = 1e60  # entries of a power of the transition: beyond, one by one, so that the overflow has its sample
-_AT_ONCE = 60_000  # numbers that are carried together: more leave the cache of the processor
+_FEW = 12  # fewer samples are faster one by one
+_LARGE = 1e60  # entries of a power of the transition; beyond it one by one, to locate the overflow
+_AT_ONCE = 60_000  # numbers processed together, which fit in the cache of the processor
 
 
 class Substep(NamedTuple):
@@ -111,6 +111,7 @@ def recursion(F: Array, start: Array, pushes: Array) -> Array:
     n, length, columns = pushes.shape
     out = np.empty((n, length, columns))
     squared = F @ F if length > _FEW else F
+    # few samples: one by one
     if length <= _FEW or not np.abs(squared).max(initial=0.0) < _LARGE:
         x = start
         for k in range(length):
@@ -118,8 +119,10 @@ def recursion(F: Array, start: Array, pushes: Array) -> Array:
             out[:, k] = x
         return out
     half = length // 2
+    # scan: x[k + 2] = F^2 x[k] + (F pushes[k] + pushes[k + 1]), half as many samples
     pairs = _times(F, pushes[:, 0 : 2 * half : 2]) + pushes[:, 1::2]
     out[:, 1::2] = recursion(squared, start, pairs)
+    # samples in between, from their predecessors
     before = np.concatenate([start[:, None], out[:, 1 : length - 1 : 2]], axis=1)
     out[:, ::2] = _times(F, before) + pushes[:, ::2]
     return out
@@ -127,11 +130,11 @@ def recursion(F: Array, start: Array, pushes: Array) -> Array:
 
 def _times(M: Array, signals: Array) -> Array:
     """Return the product of a matrix and signals (n, ...), sample by sample."""
-    columns = math.prod(signals.shape[1:])  # of no states, too
+    columns = math.prod(signals.shape[1:])  # also for models without states
     return (M @ signals.reshape(len(signals), columns)).reshape(len(M), *signals.shape[1:])
 
 
-def _marched(
+def _filter(
     Phi: Array, C: Array, stretches: list[tuple[slice, Array]], start: Array, added: Array, direct: Array,
     measured: Array,
 ) -> tuple[Array, Array]:  # fmt: skip
@@ -146,17 +149,19 @@ def _marched(
     for stretch, gain in stretches:
         a, last = stretch.start, min(stretch.stop, N - 1)
         pushes, F, innovation = added[:, a:last], Phi, None
+        # observer: x(k+1) = Phi (x + K (y - C x - D w)) + pushes = (Phi - Phi K C) x + ...
         if gain.any():
             innovation = _times(gain, measured[:, stretch] - direct[:, stretch])
             pushes, F = pushes + _times(Phi, innovation[:, : last - a]), Phi - Phi @ gain @ C
         before[:, a + 1 : last + 1] = recursion(F, x, pushes)
         x, after[:, stretch] = before[:, last], before[:, stretch]
+        # corrected states: x + K (y - C x - D w)
         if innovation is not None:
             after[:, stretch] += innovation - _times(gain @ C, before[:, stretch])
     return before, after
 
 
-@np.errstate(all="ignore")  # what overflows is looked for
+@np.errstate(all="ignore")  # overflow is detected below
 def simulate_linear(
     at: Substep, drive: Drive, corrections: Corrections, x: Array, S: Array, into: MarchResult
 ) -> int:
@@ -187,33 +192,40 @@ def simulate_linear(
     """
     n, p, (N, nw), substeps = len(x), len(S), drive.Wout.shape, into.substeps
     C, D = np.ascontiguousarray(at.O[:, :n]), at.O[:, n : n + nw]
+    # transition over a sample, and inputs at both ends of its substeps
     over, ends = _Sample(at.M[0], substeps), _ends(drive.W, drive.course, substeps)
     stretches = corrections.stretches
     measured = np.where(corrections.use, corrections.measured, 0.0).T[:, :, None]
     direct = (D @ drive.Wout.T)[:, :, None]
+    # motion: states before and after the correction
     added = over.gathered(over.pushes(ends)[..., None])
     before, after = (
-        one[:, :, 0] for one in _marched(over.Phi, C, stretches, x[:, None], added, direct, measured)
+        one[:, :, 0] for one in _filter(over.Phi, C, stretches, x[:, None], added, direct, measured)
     )
     outputs, states = (C @ before + direct[:, :, 0]).T, after.T.copy()
+    # first sample beyond the bounds
     inside: NDArray[np.bool_] = np.all(np.abs(outputs) <= into.far, axis=1)
     inside[1:] &= (np.abs(before[:, 1:]) < into.limit).all(axis=0)
     blew_up = -1 if inside.all() else int(inside.argmin())
     if p:
+        # what the derivatives of the matrices multiply: [x; w at both ends] and [x; w]
         steps = np.concatenate([over.within(after[:, :-1], ends), ends])
         signals = np.concatenate([before, drive.Wout.T])
+    # sensitivities obey the same recursion; as many at once as fit in the cache
     width = max(1, _AT_ONCE // max(n * N * substeps, 1))
     for a in range(0, p, width):
         group = np.arange(a, min(a + width, p))
         added, direct = np.zeros((n, N - 1, len(group))), np.zeros((len(C), N, len(group)))
+        # parameters that change the matrices: dM [x; w], dO [x; w]
         mine = (at.linear >= a) & (at.linear <= group[-1])
         added[:, :, at.linear[mine] - a] = over.gathered(_by_each(at.dM[0][mine], steps))
         direct[:, :, at.linear[mine] - a] = _by_each(at.dO[mine], signals)
+        # parameters that change the inputs
         for r in np.flatnonzero((drive.driven >= a) & (drive.driven <= group[-1])):
             column, pushes = drive.driven[r] - a, over.pushes(_ends(drive.dW[r], drive.course, substeps))
             added[:, :, column] += over.gathered(pushes[..., None])[:, :, 0]
             direct[:, :, column] += D @ drive.dWout[r].T
-        moved, _ = _marched(over.Phi, C, stretches, S[group].T, added, direct, 0.0 * measured)
+        moved, _ = _filter(over.Phi, C, stretches, S[group].T, added, direct, 0.0 * measured)
         into.sensitivity[:, :, group] = (_times(C, moved) + direct).transpose(1, 0, 2)
     end = N if blew_up < 0 else blew_up
     into.outputs[:end], into.sensitivity[end:] = outputs[:end], 0.0
@@ -241,6 +253,7 @@ class _Sample:
         """Return what pushes (n, N - 1, substeps, k) add over each sample."""
         last = pushes.shape[2] - 1
         found = pushes[:, :, last]
+        # carry the push of each substep to the end of the sample
         for j in range(last):
             found = found + _times(self._powers[last - j], pushes[:, :, j])
         return found
@@ -269,7 +282,7 @@ def _by_each(maps: Array, signals: Array) -> Array:
     return np.moveaxis(found.reshape(*maps.shape[:2], *signals.shape[1:]), 0, -1)
 
 
-@np.errstate(all="ignore")  # what blows up is seen in the answer
+@np.errstate(all="ignore")  # divergence shows in the result
 def state_power(A: Array, B: Array, W: Array) -> Array:
     """Return the mean square of each state, from rest, with inputs (N, n_w)."""
     states = recursion(A, np.zeros((len(A), 1)), (B @ W.T)[:, :, None])[:, :, 0]
@@ -299,10 +312,11 @@ def observed(Phi: Array, C: Array, K: Array, measured: Array, restarts: NDArray[
     """
     n, N = len(Phi), len(measured)
     found = np.empty((n, N))
+    # between restarts: observer from rest, without inputs
     for a, b in pairwise([0, *(np.flatnonzero(restarts[1:]) + 1), N]):
         added, none = np.zeros((n, b - a - 1, 1)), np.zeros((len(C), b - a, 1))
         part = measured[a:b].T[:, :, None]
-        found[:, a:b] = _marched(Phi, C, [(slice(0, b - a), K)], np.zeros((n, 1)), added, none, part)[1][
+        found[:, a:b] = _filter(Phi, C, [(slice(0, b - a), K)], np.zeros((n, 1)), added, none, part)[1][
             :, :, 0
         ]
     return found
@@ -348,9 +362,10 @@ def linear_responses(
     for group in (slice(a, a + width) for a in range(0, k, width)):
         falling, rising, through = (one[:, None, group] for one in (*drives, D))
         for a, b in pairwise(edges):
+            # first-order hold: the input falls from one sample and rises to the next
             F = signals[a:b, group]
             added, direct = falling * F[:-1] + rising * F[1:], through * F
             start, nothing = np.zeros((n, F.shape[1])), np.zeros((len(C), b - a, 1))
-            states, _ = _marched(Phi, C, [(slice(0, b - a), K)], start, added, direct, nothing)
+            states, _ = _filter(Phi, C, [(slice(0, b - a), K)], start, added, direct, nothing)
             out[a:b, :, group] = (_times(C, states) + direct).transpose(1, 0, 2)
     return out

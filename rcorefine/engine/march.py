@@ -32,9 +32,9 @@ lanewise = partial(compiled, lanes=True)
 _LANES = 8  # derivatives at a time where compiled; in Python all of them
 _STRETCH = 2048  # events on a tape that stays in the cache
 _FORCES, _OUTPUTS, _RESET = -1, -2, -3  # events at a sample; others are steps, by their grade
-_OUTSIDE = 2e-5  # of `far`: within it what is left of an equation is rounding, as at rest
-_NO_FORCES = 1e-6  # of their squares: what is left of an equation that has no solution
-# flags: forces to be found again, none known yet, an output is far off, parameters of the field are free
+_OUTSIDE = 2e-5  # share of `far` within which the residual of an equation may be rounding, as at rest
+_NO_FORCES = 1e-6  # relative squared residual of an equation that has no solution
+# flags: forces are outdated, none known yet, an output is large, parameters of the field are free
 _STALE, _FIRST, _FAR, _NUMBERS = 0, 1, 2, 3
 
 
@@ -201,6 +201,7 @@ def _room_for(model, course, samples, substeps):
     sensed = False
     for i in range(ny):
         sensed = sensed or sensors.codes[i] != 0
+    # first column of each block of an event on the tape, in the order of `_Room`
     places = np.zeros(10, dtype=np.int64)
     places[1] = at.M.shape[2]
     places[2] = places[1] + stages * (n + nw)
@@ -211,6 +212,7 @@ def _room_for(model, course, samples, substeps):
     places[7] = places[6] + 2
     places[8] = places[7] + ny
     places[9] = places[8] + (ny * (COUNT + nw - 1) if sensed else 0)
+    # at least the events of one sample with all its pieces; at most a stretch of the record
     events = 1
     if course.S.shape[0] > 0:
         events = (4 + (substeps << 2 * (grades - 1))) + min(samples * (3 + substeps), _STRETCH)
@@ -218,6 +220,7 @@ def _room_for(model, course, samples, substeps):
     flags[_STALE] = flags[_FIRST] = True
     for c in range(q):
         flags[_NUMBERS] = flags[_NUMBERS] or field.columns[c] >= 0
+    # Q = P M_f: motion felt at the points of a step per unit of the unknown forces
     Q = np.zeros((grades, stages * felt, unknown))
     for grade in range(grades):
         for i in range(stages * felt):
@@ -225,7 +228,7 @@ def _room_for(model, course, samples, substeps):
                 for l in range(n):
                     by = at.M[grade, (i // felt) * n + l, n + 2 * nw + forces + j]
                     Q[grade, i, j] += at.P[i % felt, l] * by
-    past = np.full((2, ny), np.nan)  # nothing is known of the outputs before
+    past = np.full((2, ny), np.nan)  # the outputs before the first sample are unknown
     for i in range(ny):
         past[1, i] = course.z[m + i] if course.z.shape[0] > m else 0.0
         if course.z.shape[0] > m + ny:
@@ -260,10 +263,12 @@ def _jacobian(J, parts, table, Q, row, m, ns):
         felt = row + stage * (2 * m + ns)
         for j in range(unknown):
             total = 0.0
+            # force law: I - (df/dd Q_d + df/dv Q_v)
             if i < m:
                 at = stage * m + i
                 total = parts[at, 1] * Q[felt + i, j] + parts[at, 2] * Q[felt + m + i, j]
             else:
+                # row of the field: I - df/dx Q_x
                 for k in range(ns):
                     total += table[stage, (i - m) * wide + 2 + k] * Q[felt + 2 * m + k, j]
             J[r, j] = (1.0 if r == j else 0.0) - total
@@ -310,20 +315,23 @@ def _integrate(model, drive, observer, course, into, room, begin):
         into.far,
         into.substeps,
     )
+    # sizes: n states, m places, n_y outputs, grades of smaller steps, N samples, n_w inputs
     n, m, ny, grades, samples = x.shape[0], ports.codes.shape[0], O.shape[0], at.M.shape[0], Wout.shape[0]
     nw = P.shape[1] - n
     stages, forces, count = table.shape[0], f.shape[0], COUNT + nw - 1
     felt, nf, unknown, steps = P.shape[0], forces - m, stages * forces, at.M.shape[2]
     ns, wide = felt - 2 * m, table.shape[1] // max(nf, 1)
-    ends, ticks = n + 2 * nw + forces, 1 << 2 * (grades - 1)  # of a substep: its smallest pieces
+    ends, ticks = n + 2 * nw + forces, 1 << 2 * (grades - 1)  # ticks: smallest pieces of a substep
     keep = 1 if course.S.shape[0] > 0 else 0
     remembers, by_slopes = z.shape[0] > m, 2.0 if flags[_NUMBERS] else 1.0
+    # forces are found anew at each sample only where a place feels the inputs
     senses_inputs = False
     for i in range(felt):
         for j in range(n, n + nw):
             senses_inputs = senses_inputs or P[i, j] != 0.0
     for i in range(m):
         senses_inputs = senses_inputs or ports.values[i, 4] != 0.0
+    # one copy of the coefficients for each point of a step
     values, numbers = _repeated(ports.values, stages), _repeated(field.values, stages)
     Ms = at.M.copy().reshape(grades * stages * n, steps)
     Qs = room.Q.reshape(grades * stages * felt, unknown)
@@ -338,20 +346,24 @@ def _integrate(model, drive, observer, course, into, room, begin):
     )
     trial, base, w_law = np.zeros(unknown), np.zeros(unknown), w[: nw - 1]
     alone = unknown == 1 and m == 1
+    # events that one sample can write; the loop stops where the tape may overflow
     most, t = keep * (4 + substeps * ticks), 0
     k, blew_up = begin, -1
     while k < samples and blew_up < 0 and t + most <= tape.shape[0]:
+        # controller in the loop: its states jump at the sample
         if reset.shape[0] > 0:
             put(xs, 0, x)
             apply(x, reset, xs, 0, 0)
             what[t, 0] = _RESET
             t += keep
+        # forces before the outputs, and once more after the correction of the state
         for attempt in range(2):
             # forces at the sample: new where the state was corrected, or a place feels the inputs
             if forces > 0 and (flags[_STALE] or (senses_inputs and attempt == 0)):
                 put(step, 0, x)
                 put(step, n, Wout[k])
                 put(w, 0, Wout[k])
+                # what the places feel: d, v and the arguments of the field
                 apply(sense[:felt], P, step, 0, 0)
                 at_last = (stages - 1) * m
                 for i in range(m):
@@ -363,6 +375,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                     )  # fmt: skip
                     f[i], z[i] = parts[at_last + i, 0], parts[at_last + i, 5]
                     last[0, i], last[1, i] = sense[i], sense[m + i]
+                # nonlinear right-hand side at the sample
                 if nf > 0:
                     put(own, 0, sense[2 * m : felt])
                     wanted = by_slopes if keep or flags[_FIRST] else 0.0
@@ -370,6 +383,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                         evaluate(field.code, 0.0, 0.0, 0.0, 0.0, numbers, stage, wanted, own, table)
                     for i in range(nf):
                         f[m + i] = table[0, i * wide]
+                # tape: state, inputs and slopes of the laws
                 if keep:
                     put(tape[t], 0, step[: n + nw])
                     _write(tape[t], places, parts, table, nf, ns)
@@ -388,6 +402,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                 what[t, 0], what[t, 1] = _OUTPUTS, k
             if into.forces.shape[0] > 0:
                 put(into.forces[k], 0, f)
+            # each output: law of the sensor, bounds, correction
             for i in range(ny):
                 y, slope = outputs[k, i], 1.0
                 if sensors.codes[i] != 0:
@@ -397,16 +412,17 @@ def _integrate(model, drive, observer, course, into, room, begin):
                     evaluate(
                         sensors.codes[i], y, 0.0, past[0, i], past[1, i], sensors.values, i, 1.0, w_law, shown
                     )
-                    if remembers:  # what is kept of this sample
+                    if remembers:  # memory of the sensor's law
                         past[0, i], past[1, i] = y, shown[i, 5]
                         z[m + i] = shown[i, 5]
                         if z.shape[0] > m + ny:
                             z[m + ny + i] = y
                     y, slope = shown[i, 0], shown[i, 1]
-                    shown[i, 2] = shown[i, 17] = 0.0  # whether a signal is held has no derivative
+                    shown[i, 2] = shown[i, 17] = 0.0  # no derivative by the flag for held signals
                     outputs[k, i] = y
                     if keep:
                         put(tape[t], places[8] + i * count, shown[i])
+                # the motion has run away
                 if not abs(y) <= far[i]:
                     blew_up = k
                     break
@@ -416,6 +432,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                 corrects = use[k, i] != 0 and slope != 0.0
                 if keep:
                     tape[t, places[7] + i] = slope if corrects else 0.0
+                # observer: x += K slope (y_measured - y)
                 if corrects:
                     flags[_STALE] = True
                     for j in range(n):
@@ -425,22 +442,27 @@ def _integrate(model, drive, observer, course, into, room, begin):
             if into.states.shape[0] > 0:
                 put(into.states[k], 0, x)
             t += keep
+        # substeps up to the next sample
         for s in range(substeps if k < samples - 1 and blew_up < 0 else 0):
             row = (k * substeps + s) * max(drive.course, 1)
             after = row + min(drive.course, 1)
             grade, length, tick = 0, ticks, 0
+            # pieces of a substep, smaller where a friction force jumps
             while tick < ticks:
                 early, late = tick / ticks, (tick + length) / ticks
                 put(step, 0, x)
+                # inputs at both ends of the piece, straight over the substep
                 for j in range(nw):
                     rise = W[after, j] - W[row, j]
                     step[n + j], step[n + nw + j] = W[row, j] + early * rise, W[row, j] + late * rise
                 put(step, n + 2 * nw, f)
                 for j in range(ends, steps):
                     step[j] = 0.0
+                # motion at the points of the step without the unknown forces
                 apply(xs, Ms, step, grade * stages * n, 0)
                 level, best, scale = 0.0, np.inf, 1.0
                 if forces > 0:
+                    # what is felt without them
                     for stage in range(stages):
                         for i in range(felt):
                             total, share = 0.0, (stage + 1) / stages
@@ -456,6 +478,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                     for iteration in range(60):  # forces by damped Newton steps from the last ones
                         put(sense, 0, free)
                         add(sense, Qs, trial, grade * stages * felt, 0)
+                        # residual: forces minus those of the laws at the motion they cause
                         size, level = 0.0, 0.0
                         for stage in range(stages):
                             here, share = stage * felt, (stage + 1) / stages
@@ -472,7 +495,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                                 level = max(level, abs(parts[r, 0]))
                             if nf > 0:
                                 put(own, 0, sense[here + 2 * m : here + felt])
-                                # slopes from before serve a Newton step, unless it takes long
+                                # Newton steps reuse the slopes of the field; every fourth renews them
                                 wanted = 1.0 if iteration % 4 == 3 else 0.0
                                 evaluate(field.code, 0.0, 0.0, 0.0, 0.0, numbers, stage, wanted, own, table)
                                 for i in range(nf):
@@ -481,6 +504,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                                     level = max(level, table[stage, i * wide + 1])
                         for i in range(unknown):
                             size += newton[0, i] * newton[0, i]
+                        # damping: halve the step where the residual increased
                         if size >= best and scale > 1e-6 and iteration > 0:
                             scale *= 0.5
                             for i in range(unknown):
@@ -489,6 +513,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                         best = size
                         if size <= 1e-20 * (level * level + 1e-300) or not np.isfinite(size):
                             break
+                        # Newton step: solve J move = residual
                         if alone:
                             newton[0, 0] /= (
                                 1.0 - parts[0, 1] * Qs[grade * 2, 0] - parts[0, 2] * Qs[grade * 2 + 1, 0]
@@ -500,12 +525,14 @@ def _integrate(model, drive, observer, course, into, room, begin):
                         for i in range(unknown):
                             base[i], move[i] = trial[i], newton[0, i]
                             trial[i] = base[i] - move[i]
+                    # no forces solve the equations: the motion has run away within the step
                     if nf > 0 and flags[_FAR] and not best <= _NO_FORCES * (level * level + 1e-300):
                         blew_up = k + 1
                         break
+                    # what is felt with the forces found
                     put(sense, 0, free)
                     add(sense, Qs, trial, grade * stages * felt, 0)
-                    if length > 1:  # where a friction force jumps inside: once more, the first quarter
+                    if length > 1:  # a friction force jumps inside: repeat with the first quarter
                         jumps = False
                         for i in range(m):
                             if ports.values[i, 5] != 0.0:
@@ -516,8 +543,10 @@ def _integrate(model, drive, observer, course, into, room, begin):
                             grade += 1
                             length //= 4
                             continue
+                    # motion with the forces found
                     put(step, ends, trial)
                     add(xs, Ms, trial, grade * stages * n, ends)
+                # tape: what the derivatives of this step need
                 if keep:
                     put(tape[t], 0, step)
                     what[t, 0], what[t, 1], what[t, 2] = grade, row, after
@@ -528,9 +557,10 @@ def _integrate(model, drive, observer, course, into, room, begin):
                         put(tape[t], here, xs[stage * n : (stage + 1) * n])
                         for j in range(nw):
                             tape[t, here + n + j] = step[n + j] + share * (step[n + nw + j] - step[n + j])
-                        if nf > 0:  # slopes there, and not those of the last Newton step
+                        if nf > 0:  # slopes at the solution, not those of the last Newton step
                             put(own, 0, sense[stage * felt + 2 * m : (stage + 1) * felt])
                             evaluate(field.code, 0.0, 0.0, 0.0, 0.0, numbers, stage, by_slopes, own, table)
+                    # df = J^-1 (change of the laws at fixed forces), by the implicit function theorem
                     _jacobian(J, parts, table, Qs, grade * stages * felt, m, ns)
                     clear(inverse, 0, unknown)
                     for i in range(unknown):
@@ -540,6 +570,7 @@ def _integrate(model, drive, observer, course, into, room, begin):
                         for j in range(unknown):
                             tape[t, places[2] + i * unknown + j] = inverse[j, i]
                     _write(tape[t], places, parts, table, nf, ns)
+                # end of the step: state, forces, inner states of the laws
                 put(x, 0, xs[(stages - 1) * n :])
                 put(f, 0, trial[unknown - forces :])
                 for i in range(m):
@@ -548,11 +579,13 @@ def _integrate(model, drive, observer, course, into, room, begin):
                     last[1, i] = sense[(stages - 1) * felt + m + i]
                 t += keep
                 tick += length
+                # back to larger pieces where they start on their grid
                 while length < ticks and tick % (4 * length) == 0:
                     length *= 4
                     grade -= 1
             if blew_up >= 0:
                 break
+        # a state beyond all bounds
         for j in range(n if k < samples - 1 and blew_up < 0 else 0):
             if not abs(x[j]) < into.limit:
                 blew_up = k + 1
@@ -598,6 +631,7 @@ def _lanes_for(model, course):
     lanes, forces = _LANES if NUMBA else max(p, 1), at.O.shape[1] - n - nw
     stages = _stages_of(model, n, nw)
     blocks, forced = -(-p // lanes), -(-q // lanes)
+    # parameters that change the matrices first, then the others
     order, absorbed, rest = np.full(blocks * lanes, -1, dtype=np.int64), np.zeros(p, dtype=np.bool_), q
     for r in range(q):
         order[r], absorbed[at.linear[r]] = at.linear[r], True
@@ -613,6 +647,7 @@ def _lanes_for(model, course):
             kept[i // lanes, j, i % lanes] = course.S[order[i // lanes, i % lanes], j]
     grades, high, wide = at.M.shape
     dM = np.zeros((forced * grades * high, wide, lanes))
+    # derivatives of the matrices, lane by lane
     dO, dP = np.zeros((forced * ny, at.O.shape[1], lanes)), np.zeros((forced * felt, n + nw, lanes))
     for r in range(q):
         b, l = r // lanes, r % lanes
@@ -702,7 +737,7 @@ def _differentiate(model, drive, observer, into, room, lanes, block, events):
     high, last, ends = stages * n, (stages - 1) * n, n + 2 * nw + forces
     to_points, to_inverse, to_parts, to_slopes = places[1], places[2], places[3], places[4]
     to_numbers, to_ends, to_used, to_shown = places[5], places[6], places[7], places[8]
-    memory = False  # whether a law at a place remembers
+    memory = False  # has a force law an inner state?
     for i in range(m):
         memory = memory or ports.values[i, 6] != 0.0
     # rows of the lanes: state, forces, inner states, displacements, past outputs, what is kept of them ...
@@ -711,7 +746,7 @@ def _differentiate(model, drive, observer, into, room, lanes, block, events):
     D = Z + m
     before = D + m
     inner = before + ny
-    # ... and of a step: states and what is felt at its points, forces by that and found, outputs, inputs
+    # ... and of a step: states and sensed signals at its points, forces of the laws, solved forces, signals
     T = inner + ny
     V = T + stages * n
     G = V + stages * felt
@@ -732,6 +767,7 @@ def _differentiate(model, drive, observer, into, room, lanes, block, events):
     for t in range(events):
         sort, first, second, row = what[t, 0], what[t, 1], what[t, 2], t * width
         if sort == _OUTPUTS:
+            # outputs: dy = C dx + G df + dO [x; w; f] + D dw
             clear(L, U, ny)
             add_product(L, U, ny, O, 0, cols_O, 0, n)
             add_product(L, U, ny, O, n + nw, cols_O, F, forces)
@@ -741,6 +777,7 @@ def _differentiate(model, drive, observer, into, room, lanes, block, events):
                 clear(L, A, nw)
                 _enter(L, A, dWout, first, of_drive, 1.0)
                 add_product(L, U, ny, O, n, cols_O, A, nw)
+            # laws of the sensors: chain rule
             for i in range(ny):
                 if codes[i] != 0:
                     signal, kept = (U + i, U + i), (inner + i, before + i)
@@ -754,16 +791,19 @@ def _differentiate(model, drive, observer, into, room, lanes, block, events):
                 if order[l] >= 0:
                     for i in range(ny):
                         SY[first, i, order[l]] = L[U + i, l]
+            # observer: dx -= K slope dy
             for i in range(ny):
                 if tape[row + to_used + i] != 0.0:
                     for j in range(n):
                         by = -K[j, i] * tape[row + to_used + i]
                         combine(L, j, (j, U + i, U + i, U + i), (1.0, by, 0.0, 0.0))
         elif sort == _RESET:
+            # jump at a sample: dx <- R dx
             clear(L, T, n)
             add_product(L, T, n, reset, 0, n, 0, n)
             copy(L, 0, T, n)
         elif sort == _FORCES:
+            # forces at a sample: chain rule through what the places feel, P dx + dP [x; w]
             clear(L, V, felt)
             add_product(L, V, felt, P, 0, cols_P, 0, n)
             if felt_changes:
@@ -785,6 +825,7 @@ def _differentiate(model, drive, observer, into, room, lanes, block, events):
                 add_product(L, F + m, nf, tape, row + to_slopes, ns, V + 2 * m, ns)
                 _enter_numbers(L, F + m, nf, tape, row + to_numbers, of_field)
         else:
+            # step without the change of its forces: M [dx; df] + dM [x; w; f]
             M = sort * high
             clear(L, T, high)
             add_product(L, T, high, Ms, M * steps, steps, 0, n)
@@ -792,12 +833,14 @@ def _differentiate(model, drive, observer, into, room, lanes, block, events):
             if forced:
                 add_each(L, T, high, dM, (block * grades + sort) * high, steps, tape, row)
             if driven:
+                # derivatives of the inputs at both ends of the piece
                 clear(L, A, 2 * nw)
                 for end in range(2):
                     share = tape[row + to_ends + end]
                     _enter(L, A + end * nw, dW, first, of_drive, 1.0 - share)
                     _enter(L, A + end * nw, dW, second, of_drive, share)
                 add_product(L, T, high, Ms, M * steps + n, steps, A, 2 * nw)
+            # change of the laws at the points of the step, at fixed forces
             for stage in range(stages if unknown > 0 else 0):
                 v, share = V + stage * felt, (stage + 1) / stages
                 clear(L, v, felt)
@@ -819,12 +862,14 @@ def _differentiate(model, drive, observer, into, room, lanes, block, events):
                     add_product(L, to, nf, tape, row + to_slopes + stage * nf * ns, ns, v + 2 * m, ns)
                     _enter_numbers(L, to, nf, tape, row + to_numbers + stage * nf * q, of_field)
             if unknown > 0:
+                # forces that follow, and the state at the end of the step
                 v = V + (stages - 1) * felt
                 clear(L, H, unknown)
                 add_product(L, H, unknown, tape, row + to_inverse, unknown, G, unknown)
                 add_product(L, T + last, n, Ms, (M + last) * steps + ends, steps, H, unknown)
                 copy(L, F, H + unknown - forces, forces)
             if memory:
+                # inner states see the motion with these forces
                 add_product(
                     L, v, 2 * m, Qs, ((sort * stages + stages - 1) * felt) * unknown, unknown, H, unknown
                 )
@@ -855,17 +900,20 @@ def march(model, drive, observer, course, into):
     """
     samples, S = drive.Wout.shape[0], course.S
     room = _room_for(model, course, samples, into.substeps)
+    # motion alone
     if S.shape[0] == 0:
         _integrate(model, drive, observer, course, into, room, 0)
         return room.ends[1]
     lanes = _lanes_for(model, course)
     blocks, begin = lanes.order.shape[0], 0
     room.ends[1] = -1
+    # a stretch of the record at a time: integrate the motion, then its derivatives
     while begin < samples and room.ends[1] < 0:
         events = _integrate(model, drive, observer, course, into, room, begin)
         begin = room.ends[0]
         for block in range(blocks):
             _differentiate(model, drive, observer, into, room, lanes, block, events)
+    # sensitivity at the last sample, in the order of the parameters
     width = lanes.order.shape[1]
     for i in range(S.shape[0]):
         put(S[lanes.order[i // width, i % width]], 0, lanes.kept[i // width, : S.shape[1], i % width])
@@ -889,5 +937,5 @@ def _example() -> tuple[Discretized, Drive, Corrections, MarchState, MarchResult
     )
 
 
-#: The march in a kernel, and the address that this takes: inside of that it would be compiled once more.
+#: `march` for other kernels by its address; a direct call would compile it again inside of them.
 march_at, address_of_march = by_address(march, _example)

@@ -55,6 +55,7 @@ def site_of(structure: Structure, index: int) -> Site:
     elif "any" in where:
         entry = entry_among(structure, effect.place)
     else:
+        # port: column of its force, rows of its displacement and velocity; zero for added states
         port = structure.model.port(effect.place)
         rows = [np.pad(row, (0, n - row.size)) for row in (port.act, port.position, port.velocity)]
         inputs = [port.position_input, port.velocity_input, port.acceleration_input]
@@ -84,15 +85,16 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
     model, n, nw, ny = structure.model, structure.n_states, structure.n_inputs, structure.n_outputs
     n0, field = structure.linear_model.n_states, structure.field
     scales = [act_scales(structure, theta) for theta in points]
-    into = _together([_absorbed(structure, *at) for at in zip(points, scales, strict=True)])
+    # linear effects go into A and B; the other forces enter by E and sense by P
+    into = _stack([_assemble(structure, *at) for at in zip(points, scales, strict=True)])
     E, P = _ports(structure, into.A.dtype, scales)
-    if field is not None:  # its rows are forces on states of the model, and then on outputs
+    if field is not None:  # rows of the field act on the states, then on the outputs
         own = np.eye(n, n0 + ny)[:, field.rows]
         E = np.concatenate([E, np.repeat(own[None], len(E), axis=0)], axis=2)
         E[:, n0:] = 0.0
     Ux, lag_drive = _input_lags(into)
 
-    # masses are divided by, lagged inputs are states
+    # divide by the masses; lagged inputs are states
     A, Bu, constant = into.A, into.Bu, into.constant
     if structure.has_mass:
         whole = np.concatenate([A, Bu, E, constant[:, :, None]], axis=2)
@@ -100,21 +102,24 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
         A, Bu, E, constant = (
             solved[:, :, :n], solved[:, :, n : n + nw], solved[:, :, n + nw : -1], solved[:, :, -1],
         )  # fmt: skip
+    # inputs after gains and lags: u = Uw w + Ux x
     B = Bu @ into.Uw
     B[:, :, nw] += constant
     A = A + Bu @ Ux
     for state, drive in lag_drive:
         B[:, state] += drive
 
-    # sensors see states, their rates (accelerometers) and inputs; then come their own lags and laws
+    # outputs read states, rates of states (accelerometers) and inputs; lags and gains of the sensors follow
     Co, Cr, offset, Ca = _sensors(structure, into)
     C, D, G = Co + Cr @ Ux + Ca @ A, Cr @ into.Uw + Ca @ B, Ca @ E
     D[:, :, nw] += offset
+    # forces that an output reads at once (accelerometers, force sensors)
     for j, index in enumerate(structure.port_effects):
         output = model.port(structure.effects[index].place).output
         G[:, : output.size, j] += output
     if field is not None:
         G[:, :, structure.n_ports :] += np.eye(ny, n0 + ny, n0)[:, field.rows]
+    # lag at an output: its state obeys dy/dt = (C x + D w + G f - y) / lag
     for i, state, lag in into.output_lags:
         A[:, state] = C[:, i] / lag[:, None]
         A[:, state, state] -= 1.0 / lag
@@ -122,21 +127,24 @@ def continuous_matrices(structure: Structure, points: NDArray[Any]) -> Matrices:
         E[:, state] = G[:, i] / lag[:, None]
         C[:, i], D[:, i], G[:, i] = 0.0, 0.0, 0.0
         C[:, i, state] = 1.0
+    # gain and offset of the sensors
     C, D, G = (rows * into.output_gain[:, :, None] for rows in (C, D, G))
     D[:, :, nw] += into.output_offset
+    # what the places feel, by [x; w; 1]
     sense = np.concatenate([P[:, :n] + P[:, n:] @ Ux, P[:, n:] @ into.Uw], axis=2)
-    for j in filter(structure.fills, range(structure.n_ports)):  # what fills a store
+    # laws that take the flow into a store in place of a displacement
+    for j in filter(structure.fills, range(structure.n_ports)):
         velocity = P[structure.n_ports + j, :n]
         sense[:, j] = velocity @ np.concatenate([A, B], axis=2) / -(E[:, :, j] @ velocity)[:, None]
     A, B, E = (into.pace[:, None, None] * part for part in (A, B, E))
     if model.operating_point is not None:
         _make_absolute(structure, points, into.output_gain, P, Matrices(A, B, E, C, D, G, sense))
-    if field is not None:  # it takes the states and what the inputs become
+    if field is not None:  # the field takes the states and the inputs after gains and lags
         states = np.repeat(np.eye(n0, n + nw + 1)[None], len(E), axis=0)
         taken = np.concatenate([states, np.concatenate([Ux, into.Uw], axis=2)], axis=1)
         sense = np.concatenate([sense, taken[:, field.signals]], axis=1)
     controller = model.controller
-    if controller is not None:  # what it adds to the inputs is held in its last states
+    if controller is not None:  # the commands of the controller are its last states
         held = slice(structure.loop.stop - len(controller.driven), structure.loop.stop)
         driven = np.array(controller.driven)
         A[:, :, held] += B[:, :, driven]
@@ -157,6 +165,7 @@ def _make_absolute(
     n0, m = structure.linear_model.n_states, structure.n_ports
     assert point is not None
     rest = np.array([tangents(structure, theta) for theta in points])[:, :, :, None]
+    # force at the point and tangent of each law, by [x; w; 1]: subtract E and G times them
     known = rest[:, :, 1] * at.P[:, :m] + rest[:, :, 2] * at.P[:, m : 2 * m]
     known[:, :, n + nw] += rest[:, :, 0, 0]
     for by_state, by_input, pushes in ((at.A, at.B, at.E), (at.C, at.D, at.G)):
@@ -166,7 +175,7 @@ def _make_absolute(
     at.D[:, :, nw] += (1.0 if structure.field is None else gain) * point.outputs
 
 
-def _together(parts: list[Assembly]) -> Assembly:
+def _stack(parts: list[Assembly]) -> Assembly:
     """Stack the assemblies of several points along a new first axis."""
     found: dict[str, Any] = {}
     for name in (entry.name for entry in fields(Assembly)):
@@ -181,12 +190,13 @@ def _together(parts: list[Assembly]) -> Assembly:
     return Assembly(**found)
 
 
-def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any]) -> Assembly:
+def _assemble(structure: Structure, theta: NDArray[Any], scales: dict[str, Any]) -> Assembly:
     """The model's own matrices, with the linear effects in them."""
     base, n, nw, ny = structure.linear_model, structure.n_states, structure.n_inputs, structure.n_outputs
     kind = theta.dtype if theta.size else np.dtype(float)
     rates = np.zeros((n, n + nw), kind)
     A, Bu = rates[:, :n], rates[:, n:]
+    # A and Bu are views of one array, so that effects can write whole rows
     A[: base.n_states, : base.n_states], Bu[: base.n_states] = base.A, base.B
     Uw = np.hstack([np.eye(nw, dtype=kind), np.zeros((nw, 1), kind)])
     one, constant = np.eye(n, dtype=kind), np.zeros(n, kind)
@@ -200,11 +210,13 @@ def _absorbed(structure: Structure, theta: NDArray[Any], scales: dict[str, Any])
         if not site.output.size:
             effect.spec.absorb(into, site, *values)
             continue
+        # output that reads the force at once: what the effect adds to the force, times that output
         before = into.force(site.act)
         effect.spec.absorb(into, site, *values)
         into.felt.append(np.outer(site.output, into.force(site.act) - before))
     point = structure.model.operating_point
-    if point is not None and point.field is not None:  # a nonlinear model is absolute, and so are they
+    # a nonlinear model is written in absolute values: changes of A and B act on the point, too
+    if point is not None and point.field is not None:
         n0 = base.n_states
         into.constant[:n0] += (into.A[:n0, :n0] - base.A) @ point.states + (
             into.Bu[:n0] - base.B
@@ -255,6 +267,7 @@ def _input_lags(into: Assembly) -> tuple[NDArray[Any], list[tuple[int, NDArray[A
     Ux = np.zeros((points, nw, into.A.shape[-1]), into.A.dtype)
     drives = []
     for i, state, lag in into.input_lags:
+        # lag at an input: dx/dt = (Uw w - x) / lag, u = x
         Ux[:, i, state] = 1.0
         into.A[:, state, state] = -1.0 / lag
         drives.append((state, into.Uw[:, i] / lag[:, None]))

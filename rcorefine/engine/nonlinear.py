@@ -49,9 +49,11 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
     """
     structure = open_loop(structure)
     _refuse_without_equation(structure)
+    # matrices and force laws at these coefficients
     matrices = structure.matrices(theta.astype(float))
     codes, values, _, widths = structure.laws(theta)
     laws = [structure.effects[index].spec for index in structure.port_effects]
+    # a law with memory has a state with a differential equation of its own
     memory = [i for i, law in enumerate(laws) if law.inner_states]
     rates = {i: law.rate for i, law in enumerate(laws) if isinstance(law, PortLaw) and law.rate is not None}
     n, m, nw = structure.n_states, structure.n_ports, structure.n_inputs
@@ -63,11 +65,13 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
 
     field, (_, numbers, _) = structure.field, field_numbers(structure, theta)
     drive, point = _drive(structure, theta), structure.model.operating_point
+    # states are absolute, those of the matrices deviations from the operating point
     above = np.zeros(n + len(memory))
     if point is not None:
         above[: point.states.size] = point.states
 
     def forces(x: Array, w: Array) -> tuple[Array, Array]:
+        # what the places feel: [d; v; arguments of the field] = P [x; w; 1]
         sense = matrices.P @ np.concatenate([x[:n], w])
         inner = dict(zip(memory, x[n:], strict=True))
         found = [force(i, sense[i], sense[m + i], inner.get(i, 0.0), w[:nw]) for i in range(m)]
@@ -78,7 +82,9 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
     def update(t: float, x: Any, u: Any, params: Any) -> Array:
         x, w = np.asarray(x, dtype=float) - above, drive(u)
         f, sense = forces(x, w)
+        # dx/dt = A x + B w + E f
         rate = matrices.A @ x[:n] + matrices.B @ w + matrices.E @ f
+        # inner states of the laws: dz/dt = rate(d, v, z)
         inner = []
         for j, i in enumerate(memory):
             speed = sense[m + i]
@@ -88,6 +94,7 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
     def output(t: float, x: Any, u: Any, params: Any) -> Array:
         x, w = np.asarray(x, dtype=float) - above, drive(u)
         f, _ = forces(x, w)
+        # y = C x + D w + G f, then the laws of the sensors
         y = matrices.C @ x[:n] + matrices.D @ w + matrices.G @ f
         for index, channel in structure.output_statics:
             effect = structure.effects[index]
@@ -117,12 +124,14 @@ def _drive(structure: Structure, theta: Array) -> Callable[[Any], Array]:
 
     def acting(u: Any) -> Array:
         w = np.append(np.atleast_1d(np.asarray(u, dtype=float)), 1.0)
+        # static effects at the inputs
         for index, channel in structure.input_statics:
             effect = structure.effects[index]
             assert isinstance(effect.spec, InputLaw)
             w[channel] = effect.spec.through(w[[channel]], *structure.law_values(theta, index))[0][0]
         return w
 
+    # what acts at the operating point, to be subtracted
     rest = np.append(acting(level)[:nw] if structure.balanced else level, 0.0)
     return lambda u: np.asarray(acting(u) - rest)
 

@@ -19,7 +19,7 @@ from .point import about_point
 from .structure import Structure
 
 _ROUNDS = 100
-_HORIZON = 300  # samples, where no steady solution exists
+_HORIZON = 300  # samples of the Riccati recursion, where no steady solution exists
 
 
 def observer_gain(
@@ -55,24 +55,27 @@ def observer_gain(
         Gain K of ``x = x + K (y - y_model)`` at each sample; not finite where there is no observer.
     """
     if structure.model.controller is not None:
-        # what it predicts has the inputs as they were: a controller takes no part
+        # predictions use the recorded inputs, so the controller has no gain
         gain = np.zeros((structure.n_states, structure.n_outputs))
         gain[own_states(structure)] = observer_gain(
             open_loop(structure), theta, data, ratio, at=at, noise=noise
         )
         return gain
+    # linearize about the operating point
     A, B, C, _ = about_point(structure, theta.astype(float))
     nw, n = structure.n_inputs, structure.n_states
+    # sizes of inputs and outputs: rms and standard deviation of the record
     level = np.sqrt(np.mean(data.inputs**2, axis=1))
     level = np.where(level > 0, level, 1.0)
     spread = data.outputs.std(axis=1)
     spread = np.where(spread > 0, spread, 1.0)
     G, C = B[:, :nw] * level, C / spread[:, None]
-    units = _units(A * data.dt, G, C)  # the user's may be far apart
+    units = _units(A * data.dt, G, C)  # units of the user may differ by orders of magnitude
     A, G, C = A * units / units[:, None], G / units[:, None], C * units
     drives = list(G.T)
     top = max((np.linalg.norm(d) for d in drives), default=1.0) or 1.0
     acts = [] if at == "inputs" and drives else [port.act for port in structure.model.ports]
+    # unknown forces at the places, as large as the largest input
     for act in acts:
         padded = np.zeros(n)
         padded[: act.size] = act
@@ -81,9 +84,10 @@ def observer_gain(
         if size > 0:
             drives.append(padded * (top / size))
     G = np.column_stack(drives) * ratio
+    # matrix of Van Loan: its exponential holds Phi and the process noise Q
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[:n, n:], block[n:, n:] = -A, G @ G.T, A.T
-    # Van Loan: exact covariance of a force that is constant over a sample, as a density
+    # Van Loan: exact covariance of white noise of this density over a sample
     scale = data.dt
     with np.errstate(over="ignore", invalid="ignore"):
         F = exponential((block * scale)[None])[0]
@@ -91,7 +95,7 @@ def observer_gain(
         Q = Phi @ F[:n, n:]
     diagonal = np.diag(Q)
     if not np.isfinite(Q).all() or diagonal.min(initial=0.0) < -1e-9 * diagonal.max(initial=0.0):
-        # a fast pole: the density form overflows or cancels, the held form does not
+        # fast poles make that form overflow or cancel: take a force that is held over the sample
         held = exponential((np.block([[A, G], [np.zeros((G.shape[1], n + G.shape[1]))]]) * scale)[None])[0]
         Phi, gamma = held[:n, :n], held[:n, n:]
         Q = gamma @ gamma.T
@@ -189,12 +193,14 @@ def steady_filter(F: Array, H: Array, Q: Array, R: Array) -> SteadyFilter:
     if n == 0:
         return SteadyFilter(np.zeros((0, H.shape[0])), np.zeros((0, 0)), R)
     Q = 0.5 * (Q + Q.T)
-    try:  # scipy balances entries that are rounding beyond all bounds
+    # P = F P F' - F P H' (H P H' + R)^-1 H P F' + Q
+    try:  # without scipy's balancing, which scales rounding errors up
         P = solve_discrete_are(F.T, H.T, Q, R, balanced=False)
         if not np.isfinite(P).all():
             raise LinAlgError
     except (LinAlgError, ValueError):
         P = _finite_horizon(F, H, Q, R)  # a state that the outputs cannot see has no steady covariance
+    # innovation covariance and Kalman gain
     S = H @ P @ H.T + R
     return SteadyFilter(_gain(P, H, S), P, S)
 
@@ -202,7 +208,7 @@ def steady_filter(F: Array, H: Array, Q: Array, R: Array) -> SteadyFilter:
 def _gain(P: Array, H: Array, S: Array) -> Array:
     try:
         return P @ H.T @ np.linalg.inv(S)
-    except LinAlgError:  # beside what blew up, the sensor noise is rounding
+    except LinAlgError:  # the sensor noise is rounding beside a diverged covariance
         return np.full((len(P), len(H)), np.nan)
 
 
@@ -210,22 +216,22 @@ def _finite_horizon(F: Array, H: Array, Q: Array, R: Array) -> Array:
     P = Q.copy()
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(_HORIZON):
+            # Kalman filter: update of the covariance, then prediction
             K = _gain(P, H, H @ P @ H.T + R)
             P = F @ (P - K @ H @ P) @ F.T + Q
             P = 0.5 * (P + P.T)
     return P
 
 
-#: Unknown force over the measured one: at less, what sticks and slips would count to its last digit.
+#: Unknown force over the measured one; with less, stick-slip would have to be predicted exactly.
 _QUIET = 0.03
-_REGULAR = (
-    2.0  # log: a regular motion gains at most one; over the top, or between two wells, it is three or more
-)
-_FORCES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # unknown over measured: the least that holds the motion
-_DIES_OUT = 1e-3  # share of its largest effect to which an error of the start is to fall
-_FOLLOWS = 5.0  # times the error of the strongest observer: more, and the motion is lost
+_REGULAR = 2.0  # log of the growth of an error: up to one in regular motion, three or more in chaotic motion
+# unknown over measured force; the smallest that keeps the model on the record is used
+_FORCES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+_DIES_OUT = 1e-3  # share of its largest effect to which an error of the initial state must decay
+_FOLLOWS = 5.0  # multiple of the error of the strongest observer above which the observer lost the motion
 _BALANCED = 30  # sweeps over the states
-_LARGEST = 30.0  # log of a growth: beyond, nothing more is learned
+_LARGEST = 30.0  # log of a growth at which the sum can stop
 _KEPT = 64
 _KNOWN: dict[tuple[int, float, bytes, bytes], tuple[object, float | None]] = {}
 
@@ -288,19 +294,21 @@ def steadying_ratio(model: PhysicalModel, record: Measurement) -> float | None:
     known = _KNOWN.get(key)
     if known is None:
         while len(_KNOWN) >= _KEPT:
-            _KNOWN.pop(next(iter(_KNOWN)), None)  # threads may do the same
-        # the field is kept, so that its id stays its own
-        known = _KNOWN[key] = (field, _sought(open_loop(Structure(model)), record))
+            _KNOWN.pop(next(iter(_KNOWN)), None)  # another thread may have removed it
+        # keep a reference to the field, so that its id is not reused
+        known = _KNOWN[key] = (field, _find_ratio(open_loop(Structure(model)), record))
     return known[1]
 
 
-def _sought(bare: Structure, record: Measurement) -> float | None:
+def _find_ratio(bare: Structure, record: Measurement) -> float | None:
     engine, theta = Engine(bare, record, substeps=2), np.zeros(0)
     gains = {ratio: observer_gain(bare, theta, record, ratio) for ratio in _FORCES}
+    # motion along the record by the strongest observer; is it chaotic?
     run = engine.run(theta, sensitivity=False, gain=gains[_FORCES[-1]], histories=True, check=False)
     if run.blew_up >= 0 or growth(bare.model, run.states, record) < _REGULAR:
         return None
     missed = np.std(run.outputs - engine.data.outputs)
+    # weakest observer that follows the record and forgets its initial state
     for ratio, gain in gains.items():
         run = engine.run(theta, sensitivity=False, initial_state=True, gain=gain, check=False)
         felt = np.abs(run.sensitivity).max(axis=(0, 2))
@@ -332,6 +340,7 @@ def growth(model: PhysicalModel, states: Array, record: Measurement) -> float:
     A = model.linear.A + np.nan_to_num(slopes)
     scale = _balancing(np.sqrt(np.mean(A**2, axis=0)))
     error, total, least, most = np.eye(n), 0.0, 0.0, 0.0
+    # propagate an error of the state, scaled to one after each sample; sum up the logarithms
     for step in exponential(A / scale[:, None] * scale * record.dt):
         error = step @ error
         size = float(np.linalg.norm(error, 2))

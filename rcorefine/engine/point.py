@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from .engine import Trajectory
     from .structure import Structure
 
-_ROUNDING = 1e-9  # of the largest value at the point
-_STEP = 1e-4  # of a coefficient, for the derivative of a tangent by it
+_ROUNDING = 1e-9  # share of the largest value at the point
+_STEP = 1e-4  # relative step of a coefficient for finite differences of a tangent
 
 
 def resting(structure: Structure, place: str) -> tuple[float, float] | None:
@@ -48,12 +48,15 @@ def tangents(structure: Structure, theta: NDArray[Any]) -> NDArray[Any]:
         return found
     codes, values, columns, widths = structure.laws(theta.real)
     written = np.zeros((structure.n_ports, COUNT))
+    # each law at the displacement and velocity of its place
     for row, index in enumerate(structure.port_effects):
         law, place = structure.effects[index].spec, structure.effects[index].place
         d, v = resting(structure, place) or (0.0, 0.0)
         evaluate(codes[row], d, v, d, 0.0, values, row, widths[row], written[0, :0], written)
+        # no tangent: an inner state, or a jump at zero velocity
         jumps = law.inner_states or abs(v) <= (0.0 if law.width_share is None else widths[row])
         found[row] = written[row, :3] * [1, not law.inner_states, not jumps]
+    # derivatives by the coefficients: central differences along the imaginary part of theta
     for c in set(columns[columns >= 0]) & set(np.flatnonzero(theta.imag)):
         step = _STEP * (abs(theta[c].real) or 1.0) * np.eye(theta.size)[c]
         change = tangents(structure, theta.real + step) - tangents(structure, theta.real - step)
@@ -92,15 +95,18 @@ def act_scales(structure: Structure, theta: NDArray[Any]) -> dict[str, Any]:
     _, (values,), columns = field_numbers(structure, theta.real)
     n, free = base.n_states, [c for c in range(columns.size) if columns[c] >= 0]
 
+    # columns of the inputs at the operating point, dx/dt by w
     def gains(p: Array) -> Array:
         return np.asarray(base.B + field.slopes(p, np.zeros(n + base.n_inputs))[:n, n:])
 
     B = gains(values).astype(theta.dtype if theta.size else float)
+    # derivatives by the parameters: central differences
     for c in free if np.iscomplexobj(theta) else ():
         step = 1e-5 * (abs(values[c]) or 1e-2) * np.eye(values.size)[c]
         slope = (gains(values + step) - gains(values - step)) / (2.0 * step[c])
         B = B + slope * (theta[columns[c]] - theta[columns[c]].real)
     found = {}
+    # a force that acts like an input column changes with that column
     for port in structure.model.ports:
         row = int(np.argmax(np.abs(port.act)))
         for j, column in enumerate(base.B.T):
@@ -121,12 +127,15 @@ def about_point(structure: Structure, theta: Array) -> tuple[Array, Array, Array
     A, B, C, D, P = matrices.A, matrices.B, matrices.C, matrices.D, matrices.P
     field, ports, n = structure.field, structure.n_ports, structure.n_states
     E, G = matrices.E[:, :ports], matrices.G[:, :ports]
+    # slopes of the force laws times the motion they feel
     slopes = tangents(structure, theta)[:, 1:, None]
     by = slopes[:, 0] * P[:ports] + slopes[:, 1] * P[ports : 2 * ports]
+    # or slopes of the nonlinear field at the operating point
     if field is not None:
         table = field.table(field_numbers(structure, theta)[1][0], np.zeros(field.n_signals), 1.0)
         by = table[:, 2 : 2 + field.n_signals] @ P[2 * ports :]
         E, G = matrices.E[:, ports:], matrices.G[:, ports:]
+    # A + E df/dx, B + E df/dw, C + G df/dx, D + G df/dw
     return A + E @ by[:, :n], B + E @ by[:, n:], C + G @ by[:, :n], D + G @ by[:, n:]
 
 
@@ -155,6 +164,7 @@ def linearized(structure: Structure, theta: Array, run: Trajectory, inputs: Arra
     A, C = matrices.A.astype(float), matrices.C.astype(float)
     forces, x = np.nan_to_num(run.forces), np.nan_to_num(run.states)
     drive = np.vstack([x, inputs, np.ones((1, x.shape[1]))])
+    # regression of each force on displacement and velocity along the motion
     for i in range(ports):
         rows = matrices.P[[i, ports + i]].astype(float)
         motion = (rows @ drive[: rows.shape[1]]).T
@@ -165,6 +175,7 @@ def linearized(structure: Structure, theta: Array, run: Trajectory, inputs: Arra
         along = np.where(size > 0, slopes / scale, 0.0) @ rows[:, :n]
         A = A + np.outer(matrices.E[:, i].astype(float), along)
         C = C + np.outer(matrices.G[:, i].astype(float), along)
+    # regression of the rows of the field on their arguments
     if structure.field is not None:
         taken = matrices.P[2 * ports :].astype(float)
         moved = (taken @ drive).T

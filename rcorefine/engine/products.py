@@ -11,6 +11,7 @@ import numpy as np
 
 from ..jit import NUMBA, compiled, inlined
 
+# compiled: scalar loops
 if NUMBA:
 
     @inlined
@@ -31,7 +32,7 @@ if NUMBA:
                 total += M[row + i, at + j] * z[j]
             out[i] += total
 
-    # Eight lanes are written out: so they stay in registers.
+    # eight lanes are written out, so that they stay in registers
     @inlined
     def add_product(L, to, rows, M, at, stride, frm, count):
         """Rows of L from `to` on += M times its rows from `frm` on.
@@ -39,6 +40,7 @@ if NUMBA:
         The first row of M stands in a row of numbers from `at` on, the next one `stride` further on.
         """
         for i in range(rows):
+            # sums of the eight lanes
             a, b, c, d = L[to + i, 0], L[to + i, 1], L[to + i, 2], L[to + i, 3]
             e, f, g, h = L[to + i, 4], L[to + i, 5], L[to + i, 6], L[to + i, 7]
             for j in range(count):
@@ -60,6 +62,7 @@ if NUMBA:
 
         Its rows (count, 8) begin at `at`; z stands on a tape from `where` on.
         """
+        # z is common to the lanes, dM is not
         for i in range(rows):
             a, b, c, d = L[to + i, 0], L[to + i, 1], L[to + i, 2], L[to + i, 3]
             e, f, g, h = L[to + i, 4], L[to + i, 5], L[to + i, 6], L[to + i, 7]
@@ -80,6 +83,7 @@ if NUMBA:
     def combine(L, to, which, by):
         """Row `to` = the sum of four rows, each times a number."""
         (i, j, k, m), (p, q, r, s) = which, by
+        # each lane: p L[i] + q L[j] + r L[k] + s L[m]
         a = p * L[i, 0] + q * L[j, 0] + r * L[k, 0] + s * L[m, 0]
         b = p * L[i, 1] + q * L[j, 1] + r * L[k, 1] + s * L[m, 1]
         c = p * L[i, 2] + q * L[j, 2] + r * L[k, 2] + s * L[m, 2]
@@ -105,6 +109,7 @@ if NUMBA:
             for j in range(out.shape[1]):
                 out[i, j] = 0.0
 
+# plain Python: products of NumPy
 else:
 
     def apply(out, M, z, row, at):
@@ -118,6 +123,7 @@ else:
     def add_product(L, to, rows, M, at, stride, frm, count):
         """Rows of L from `to` on += M times its rows from `frm` on."""
         if rows and count:
+            # the matrix is a view of the row of numbers: offset and strides in bytes
             L[to : to + rows] += (
                 np.ndarray((rows, count), float, M, 8 * at, (8 * stride, 8)) @ L[frm : frm + count]
             )
@@ -148,6 +154,7 @@ def solve_in_place(J, R):
     """
     m = J.shape[0]
     for c in range(m):
+        # partial pivoting: largest entry of the column
         pivot = c
         for r in range(c + 1, m):
             if abs(J[r, c]) > abs(J[pivot, c]):
@@ -157,8 +164,10 @@ def solve_in_place(J, R):
                 J[c, j], J[pivot, j] = J[pivot, j], J[c, j]
             for q in range(R.shape[0]):
                 R[q, c], R[q, pivot] = R[q, pivot], R[q, c]
+        # singular: a tiny pivot gives a huge, finite step
         if J[c, c] == 0.0:
             J[c, c] = 1e-300
+        # forward elimination
         for r in range(c + 1, m):
             factor = J[r, c] / J[c, c]
             if factor != 0.0:
@@ -166,6 +175,7 @@ def solve_in_place(J, R):
                     J[r, j] -= factor * J[c, j]
                 for q in range(R.shape[0]):
                     R[q, r] -= factor * R[q, c]
+    # back substitution
     for c in range(m - 1, -1, -1):
         for q in range(R.shape[0]):
             total = R[q, c]

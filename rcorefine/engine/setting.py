@@ -47,12 +47,13 @@ class Setting:
         """
         M, O = self.model.at.M[0], self.model.at.O
         n = len(M)
-        with np.errstate(all="ignore"):  # what grows beyond all numbers is noticed by who asks
+        with np.errstate(all="ignore"):  # overflow is detected by the callers
+            # transition with correction: x(k+1) = Phi (x - K C x)
             ahead = np.linalg.matrix_power(M[:, :n], substeps)
             ahead = ahead - (ahead @ gain) @ O[:, :n]
             found = np.empty((samples, len(O), n))
             found[0], count = O[:, :n], 1
-            while count < samples:  # twice as many with every product
+            while count < samples:  # each product doubles the number of samples
                 more = min(count, samples - count)
                 found[count : count + more] = found[:more] @ ahead
                 ahead, count = ahead @ ahead, count + more
@@ -125,7 +126,7 @@ def _amid_and_end(
     return np.concatenate(parts, axis=1)[None]
 
 
-TINY_STEP = 1e-30  #: of the imaginary parts by which derivatives are taken
+TINY_STEP = 1e-30  #: imaginary part of complex steps
 
 
 def discretized(
@@ -148,12 +149,13 @@ def discretized(
     pushes = states * np.concatenate([at.B, at.E], axis=2)
     columns = power_of_two(np.abs(pushes[0].real).max(axis=0, initial=0.0))
     steps = step / (2.0 if parabolas else 4.0) ** np.arange(grades)[:, None, None, None]
+    # exponential of [A B 0; 0 0 I; 0 0 0]: transition, response to a step, response to a ramp (Van Loan)
     blocks[:, :, :n, :n] = states * at.A / states.T * steps
     blocks[:, :, :n, n : n + drive] = pushes / columns * steps
     blocks[:, :, n : n + drive, n + drive : n + 2 * drive] = np.eye(drive)
-    if parabolas:  # forces have a second derivative
+    if parabolas:  # parabolas: forces have a second derivative
         blocks[:, :, n + drive + nw : n + 2 * drive, n + 2 * drive :] = np.eye(structure.n_forces)
-    with np.errstate(over="ignore", invalid="ignore"):  # the engine says so where a model blows up
+    with np.errstate(over="ignore", invalid="ignore"):  # the engine reports divergence
         found = exponential(blocks.reshape(-1, size, size))
         exponentials = found.reshape(blocks.shape)[:, :, :n] / states
         Phi = exponentials[..., :n] * states.T
@@ -163,10 +165,12 @@ def discretized(
     if parabolas:
         M = _amid_and_end(Phi, level, slope, bend, nw)
     else:
+        # inputs and forces at the start (level less slope) and at the end of the substep (slope)
         first = level - slope
         M = np.concatenate([Phi, first[..., :nw], slope[..., :nw], first[..., nw:], slope[..., nw:]], axis=3)
     O = np.concatenate([at.C, at.D, at.G], axis=2)
     with np.errstate(over="ignore"):
+        # derivatives by complex steps
         dM = M[:, : len(linear)].imag / TINY_STEP
         dO, dP = (part[: len(linear)].imag / TINY_STEP for part in (O, at.P))
     if not dP.any():
@@ -196,6 +200,7 @@ def _inner_scale(structure: Structure, A: NDArray[Any]) -> Array:
     scale = np.ones(structure.n_states)
     for j in range(structure.linear_model.n_states, structure.n_states):
         others = np.arange(structure.n_states) != j
+        # entries to and from this state become equally large
         up, down = np.abs(A[others, j]).max(initial=0.0), np.abs(A[j, others]).max(initial=0.0)
         if up > 0 or down > 0:
             scale[j] = np.sqrt(up / down) if up > 0 and down > 0 else up or 1.0 / down

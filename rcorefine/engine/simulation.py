@@ -26,7 +26,7 @@ from .inputs import interpolate_band_limited, straight_lines
 from .observer import leading_gain
 from .structure import Structure
 
-_STILL, _MOST_STEPS = 1e-3, 64  # a run that doubled substeps move by less of its size has enough of them
+_STILL, _MOST_STEPS = 1e-3, 64  # relative change by doubled substeps below which they suffice; most substeps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,6 +127,7 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
     """
     model = as_model(model)
     inner = getattr(model, "system", model)
+    # discrete-time model: plain recursion
     if isinstance(inner, ct.StateSpace) and inner.dt != 0:
         return _simulate_discrete(LinearModel.from_statespace(inner), data, x0)
     structure, theta, substeps = structure_of(model)
@@ -135,29 +136,35 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
         data = record_for(data, match_channels(structure.linear_model, data))
     data = resting_inputs(data, structure.linear_model.input_labels)
     check_channels(structure.linear_model, data)
+    # the given initial state is that of the model, without the controller
     own = own_states(structure)
     start, point = as_state(x0, own.size), structure.model.operating_point
     if start is not None:
         start, given = np.zeros(structure.n_states), start
         start[own] = given
+    # operating point: the engine works with deviations
     levels = _levels(structure, data)
     if point is not None:
         data = data.deviation(point.inputs, point.outputs)
         start = None if start is None else start - (0.0 if isinstance(x0, str) else levels[1])
+    # effects on commands inside a loop: finer samples or substeps
     factor, steps = _finer(structure)
     data, substeps = _on_finer_grid(data, factor), max(substeps, steps)
+    # nonlinear model: substeps until the result converges
     if structure.field is not None and model is structure.model:
-        substeps = _settled_steps(structure, data, start, led)
+        substeps = _sufficient_steps(structure, data, start, led)
     engine = Engine(structure, data, substeps=substeps, initial=start, lead=_lead(structure, data, led))
+    # initial state by least squares
     if start is None:
         start = estimate_initial_state(engine, theta)
     run = engine.run(theta, start, sensitivity=False, histories=True)
+    # absolute values at the samples of the record
     outputs, states = run.outputs + levels[0][:, None], run.states + levels[1][:, None]
     at = slice(None, None, factor)
     return Simulation(outputs[:, at], states[own][:, at], run.forces[:, at], (start + levels[1])[own])
 
 
-_FINER = 8  # parts of a sample in which a command that passes effects may change
+_FINER = 8  # parts of a sample in which a command behind effects may change
 
 
 def _finer(structure: Structure) -> tuple[int, int]:
@@ -192,21 +199,24 @@ def _lead(structure: Structure, data: Measurement, led: bool) -> Array | None:
 
     It is that of the controller, or of an observer where one is allowed.
     """
+    # controller: its gain closes the loop
     if structure.model.controller is not None:
         return loop_gain(structure, data.dt)
     return leading_gain(structure, data) if led else None
 
 
-def _settled_steps(structure: Structure, data: Measurement, start: Array | None, led: bool) -> int:
+def _sufficient_steps(structure: Structure, data: Measurement, start: Array | None, led: bool) -> int:
     """Return a sufficient number of substeps for a nonlinear model.
 
     Doubling it no longer changes the free run.
     """
     steps, before, theta = 2, None, np.zeros(0)
     made = partial(Engine, structure, data, lead=_lead(structure, data, led))
+    # initial state once, with the coarsest substeps
     if start is None:
         start = estimate_initial_state(made(substeps=steps), theta)
     while steps < _MOST_STEPS:
+        # double the substeps until no output changes by more than 0.1 % of its size
         engine = made(substeps=steps, initial=start)
         outputs = engine.run(theta, start, sensitivity=False, check=False).outputs
         if before is not None:
@@ -225,6 +235,7 @@ def _levels(structure: Structure, data: Measurement) -> tuple[Array, Array]:
     outputs, states = np.zeros(structure.n_outputs), np.zeros(structure.n_states)
     point = structure.model.operating_point
     if point is not None:
+        # outputs of the record may be without their means, `origin`
         outputs = point.outputs - data.origin[data.n_inputs :]
         states[: point.states.size] = point.states
     return outputs, states
@@ -236,7 +247,7 @@ def unjudged_samples(model: Any, data: Measurement) -> int:
     A model with a delay and a free initial state is undetermined there.
     """
     if not hasattr(model, "simulation_structure") and not held_effects(known_physical(model)):
-        return 0  # a delay is an effect: linear models hold none
+        return 0  # linear models have no delay, which is an effect
     structure, theta, _ = structure_of(model)
     return int(Engine(structure, data).judged(theta).argmax(axis=1).max(initial=0))
 
@@ -265,6 +276,7 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
     data = resting_inputs(data, model.input_labels)
     check_channels(model, data)
     start = as_state(x0, model.n_states)
+    # forced response from zero, and free responses to unit initial states, A^k
     with np.errstate(over="ignore", invalid="ignore"):
         states = _march_discrete(model, data.inputs, np.zeros(model.n_states))
         unit = _powers(model, data.n_samples) if start is None or start.any() else np.zeros((0, 1, 1))
@@ -275,6 +287,7 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
         if start is None and model.n_states == 0:
             start = np.zeros(0)
         if start is None:
+            # least squares: outputs are affine in the initial state
             weights = 1.0 / np.maximum(data.outputs.std(axis=1), 1e-300)
             slopes = np.einsum("y,yi,kij->ykj", weights, model.C, unit).reshape(-1, model.n_states)
             error = (weights[:, None] * (forced - data.outputs)).ravel()
@@ -283,6 +296,7 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
                 sizes=own_sizes(np.abs(states).max(axis=1), slopes), evaluations=3, tolerance=1e-8,
                 damping=0.0,
             ).point  # fmt: skip
+        # superposition of both responses
         states = states + np.einsum("kij,j->ik", unit, start)
     outputs = model.C @ states + model.D @ data.inputs
     return Simulation(outputs, states, np.zeros((0, data.n_samples)), start)
@@ -291,6 +305,7 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
 def _march_discrete(model: LinearModel, w: Array, x: Array) -> Array:
     states = np.empty((model.n_states, w.shape[1]))
     driven = model.B @ w
+    # x(k+1) = A x(k) + B w(k)
     for k in range(w.shape[1]):
         states[:, k] = x
         x = model.A @ x + driven[:, k]

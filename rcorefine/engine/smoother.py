@@ -57,6 +57,7 @@ class Smoothed:
         It is that at the sample farthest from the end of the record.
         """
         steady, back = self.steady, self._back
+        # covariance of the last but one state, given the last one exactly
         found = steady.filtered - back @ steady.predicted @ back.T
         for _ in range(int(np.ceil(np.log2(len(self.filtered))))):  # P = Q + back P back', from the end on
             found = found + back @ found @ back.T
@@ -69,6 +70,7 @@ class Smoothed:
 
         It is 1 if the noise levels are right.
         """
+        # e' S^-1 e of each sample
         e = self.innovations
         weighed = np.einsum("ki,ij,kj->k", e, np.linalg.inv(self.steady.innovation), e)
         return float(np.mean(weighed) / e.shape[1])
@@ -116,6 +118,7 @@ def smooth(
         NaN where there is no filter.
     """
     N, n = outputs.shape[0], F.shape[0]
+    # steady-state Kalman filter, then one pass forward
     steady = steady_filter(F, H, Q, R)
     predicted, filtered, innovations = (np.full((N, m), np.nan) for m in (n, n, H.shape[0]))
     anew = np.zeros(N, np.uint8) if reset is None else reset
@@ -130,9 +133,11 @@ def smooth(
 def _forwards(F, H, K, y, drive, reset, predicted, filtered, innovations):  # type: ignore[no-untyped-def]
     x = np.zeros(F.shape[0])
     for k in range(y.shape[0]):
+        # the state begins anew
         if reset[k]:
             x = np.zeros(F.shape[0])
         put(predicted[k], 0, x)
+        # Kalman filter: update with the innovation, then predict
         put(innovations[k], 0, y[k] - H @ x)
         x = x + K @ innovations[k]
         put(filtered[k], 0, x)
@@ -142,6 +147,7 @@ def _forwards(F, H, K, y, drive, reset, predicted, filtered, innovations):  # ty
 @compiled
 def _backwards(back, predicted, reset, states):  # type: ignore[no-untyped-def]
     """In place over the filtered states."""
+    # Rauch-Tung-Striebel: x_s(k) = x(k|k) + G (x_s(k+1) - x(k+1|k))
     for k in range(states.shape[0] - 2, -1, -1):
         if not reset[k + 1]:
             put(states[k], 0, states[k] + back @ (states[k + 1] - predicted[k + 1]))

@@ -29,7 +29,7 @@ from .matrices import Matrices, continuous_matrices, site_of
 from .point import about_point
 from .setting import discretized
 
-_KEPT = 8  # of what hangs on the coefficients: with and without derivatives
+_KEPT = 8  # results per structure that depend on the coefficients
 _Made = TypeVar("_Made")
 
 
@@ -98,6 +98,7 @@ class Structure:
         self.linear_model: LinearModel = self.model.linear
         base = self.linear_model
         self.n_inputs, self.n_outputs = base.n_inputs, base.n_outputs
+        # free coefficients, the columns of theta; then effects by where they enter
         self.parameters: list[Parameter] = []
         self._position: dict[tuple[int, str], int] = {}
         self.added_states: list[tuple[int, str]] = []  # (effect, what) of the added states
@@ -105,7 +106,7 @@ class Structure:
         self._input_statics: list[int] = []
         self._output_statics: list[int] = []
         self._delayed_outputs: list[int] = []
-        self._numbers: list[int] = []  # of a nonlinear model
+        self._numbers: list[int] = []  # parameters of a nonlinear model
         for index, effect in enumerate(self.effects):
             self._register(index, effect)
         # states of a controller stand between those of the model and those of effects
@@ -114,6 +115,7 @@ class Structure:
         self.n_states = self.loop.stop + len(self.added_states)
         self.n_ports = len(self._port_effects)
         self.kept = Kept(_KEPT)
+        # where each linear effect enters A, B, C, D
         self.sites = {
             index: site_of(self, index)
             for index, effect in enumerate(self.effects)
@@ -128,8 +130,10 @@ class Structure:
                 f"{effect.label}: its formula takes the inputs, which stand as what they have above the "
                 "operating point; give the model without one and the record's `deviation`"
             )
+        # each coefficient that is not held is a column of theta
         for name in effect.coefficients:
             self._add_parameter(index, effect, name)
+        # an effect enters the matrices, an input, an output, the field of the model, or as a force at a port
         law = effect.spec
         if isinstance(law, AbsorbedLaw):
             self.added_states += [(index, what) for what in law.states]
@@ -145,9 +149,11 @@ class Structure:
     def _add_parameter(self, index: int, effect: Effect, name: str) -> None:
         if name in effect.fixed:
             return
+        # bounds of the law, narrowed by those of the model
         low, high = effect.bounds(name)
         least, most = effect.spec.bounds_in(self, effect.place)
         low, high = max(low, least), min(high, most)
+        # ordered pair of coefficients: one that is held bounds the other
         for larger, smaller in effect.spec.order:
             if name == larger and smaller in effect.fixed:
                 low = max(low, effect.fixed[smaller])
@@ -161,6 +167,7 @@ class Structure:
         self._position[index, name] = len(self.parameters)
         single = len(effect.coefficients) == 1
         label = effect.label if single else f"{name} of {effect.label}"
+        # normal prior, where the effect has one
         sd = effect.prior.get(name, np.inf)
         mean = effect.start.get(name, 0.0) if name in effect.prior else 0.0
         self.parameters.append(Parameter(index, name, label, low, high, mean, sd))
@@ -176,6 +183,7 @@ class Structure:
 
         It is infinite where a force moves nothing.
         """
+        # acceleration per unit of the resisting force
         port = self.model.port(place)
         answer = -float(port.velocity @ port.act)
         return 1.0 / answer if answer > 0 else np.inf
@@ -200,6 +208,7 @@ class Structure:
         theta = np.zeros(self.n_parameters)
         for where, parameter in enumerate(self.parameters):
             effect = self.effects[parameter.effect]
+            # the user's value, else the one at which the effect is absent
             given = effect.start.get(parameter.name)
             if given is None:
                 given = effect.start_of(parameter.name)
@@ -238,7 +247,7 @@ class Structure:
         """Columns of theta that enter the matrices."""
         skip = set(self._port_effects) | set(self._input_statics)
         skip |= set(self._output_statics) | set(self._delayed_outputs)
-        if self.balanced:  # what they give at the operating point does
+        if self.balanced:  # at an operating point the tangents of port effects enter them
             skip -= set(self._port_effects)
         return np.array([i for i, q in enumerate(self.parameters) if q.effect not in skip], dtype=np.int64)
 
@@ -251,6 +260,7 @@ class Structure:
 
         The result is kept because it is needed again.
         """
+        # only absorbed coefficients change the matrices: they are the key
         key = theta[self.absorbed].tobytes()
         make = partial(discretized, self, theta, step, derivatives=derivatives, pieces=pieces)
         return self.kept((key, step, derivatives, pieces), make)
@@ -289,6 +299,7 @@ class Structure:
         values = np.zeros((m, MAX_COEFFICIENTS + 3))
         columns = np.full((m, MAX_COEFFICIENTS), -1, dtype=np.int64)
         widths = np.ones(m)
+        # one row for each port: coefficients, then three flags
         for row, index in enumerate(self._port_effects):
             law = self.effects[index].spec
             assert isinstance(law, PortLaw)
@@ -322,6 +333,7 @@ class Structure:
         ny = self.n_outputs
         codes, values = np.zeros(ny, dtype=np.int64), np.zeros((ny, MAX_COEFFICIENTS))
         columns = np.full((ny, MAX_COEFFICIENTS), -1, dtype=np.int64)
+        # one row for each output; code 0 stands for no law
         for index, channel in self.output_statics:
             law, found = self.effects[index].spec, self.law_values(theta, index)
             assert isinstance(law, OutputLaw)
@@ -358,6 +370,7 @@ class Structure:
 
         They are found at its middle, too, unless one of them jumps or remembers.
         """
+        # the Lobatto formula needs smooth forces: jumps and inner states take one stage
         laws = [self.effects[index].spec for index in self._port_effects]
         straight = not self.n_forces or any(isinstance(s, PortLaw) and (s.jumps or s.remembers) for s in laws)
         return 1 if straight else 2
@@ -420,6 +433,7 @@ class Structure:
 
         It is continuous, and without the controller.
         """
+        # linearization about the operating point, without the column of the constant input
         A, B, C, D = about_point(open_loop(self), theta.astype(float))
         nw = self.n_inputs
         return self.linear_model.with_arrays(

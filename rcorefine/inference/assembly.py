@@ -30,7 +30,7 @@ from ..models.physical_model import PhysicalModel
 from ..systems.linear import LinearModel
 from .refinement import Refinement
 
-_OFF = {"inputs": 1.0, "outputs": 10.0}  # sd of an offset over the rms of the signal: sensors are off by more
+_OFF = {"inputs": 1.0, "outputs": 10.0}  # prior standard deviation of an offset over the rms of the signal
 
 
 def unfold(model: Any) -> tuple[PhysicalModel, list[tuple[Effect, str]]]:
@@ -43,6 +43,7 @@ def unfold(model: Any) -> tuple[PhysicalModel, list[tuple[Effect, str]]]:
         return physical, [(effect, HELD) for effect in held_effects(physical)]
     kept = []
     structure, theta, _ = model.simulation_structure()
+    # estimates become starting values; each effect keeps its role
     for index, (effect, role) in enumerate(zip(model.effects, model.roles, strict=True)):
         start = dict(effect.start)
         for name in effect.coefficients:
@@ -85,6 +86,7 @@ def assemble(
     offsets: Sequence[Effect],
 ) -> list[tuple[Effect, str]]:
     """Effects with their roles: asked for, linear parameters, offsets."""
+    # in this order: effects of the given refinement, requested ones, linear parameters, offsets
     chosen = list(kept)
     for effect in as_effects(effects, "effects"):
         if any(same.kind == effect.kind and same.place == effect.place for same, _ in chosen):
@@ -93,6 +95,7 @@ def assemble(
     for effect in _linear_effects(physical, free, tolerance):
         if not any(_covers(same, effect) for same, _ in chosen):
             chosen.append((effect, "linear"))
+    # offsets, unless another effect can hold a constant
     if not any(role == "offset" for _, role in chosen):
         if not any(same.spec.holds_constant for same, _ in chosen):
             chosen += [(effect, "offset") for effect in offsets]
@@ -111,13 +114,14 @@ def _covers(chosen: Effect, linear: Effect) -> bool:
 
 def _linear_effects(physical: PhysicalModel, free: Any, tolerance: float) -> list[Effect]:
     numbers = independent_parameters(physical)
-    # a mass does not float where an input gain does, they rescale each other
+    # a free mass and a free input gain would rescale each other: only the gain is free
     gains = any(KINDS[q.kind].relative for q in physical.parameters)
     everything = [Effect(q.kind, q.place) for q in numbers if not (gains and KINDS[q.kind].inertial)]
     if isinstance(free, str):
         if free != "linear":
             raise ct.ControlArgument(f"free must be 'linear' or a list, not {shown(free)}")
         return everything
+    # a list of names or effects; a tolerance alone frees all linear parameters
     entries = [free] if isinstance(free, Effect) else as_list(free, "free", "names or effects")
     if not entries:
         return everything if tolerance > 0 else []
@@ -144,16 +148,19 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
         return [[]]
     linear, controller = physical.linear, physical.controller
     if controller is not None and not controller.recorded and integrates(controller.linear, record):
-        return [[]]  # what its integrator holds at the start is an offset
+        return [[]]  # the initial state of its integrator acts as an offset
+    # candidates: an offset at each input and output
     at_inputs = [Effect(InputOffset.name, label) for label in linear.input_labels]
     at_outputs = [Effect(OutputOffset.name, label) for label in linear.output_labels]
     if integrates(linear, record):
         return [at_inputs + [at_outputs[i] for i in _own_levels(linear)]]
+    # static gain D - C A^-1 B: which outputs does a constant input reach?
     reach = linear.D - linear.C @ np.linalg.pinv(linear.A) @ linear.B
     level = np.abs(reach) @ np.sqrt(np.mean(record.inputs**2, axis=1))
     seen = np.flatnonzero(level > 1e-3 * record.outputs.std(axis=1))
     if seen.size < linear.n_inputs:
         return [at_outputs]
+    # those outputs determine the offsets of the actuators; the other outputs need their own
     taken = set(seen[: linear.n_inputs])
     rest = [effect for i, effect in enumerate(at_outputs) if i not in taken]
     return [at_inputs + rest, at_outputs]
@@ -171,6 +178,7 @@ def offsets_everywhere(physical: PhysicalModel, records: Sequence[Measurement]) 
         (OutputOffset, linear.output_labels, [r.outputs for r in records], _OFF["outputs"]),
     ):
         for label, signal in zip(labels, np.concatenate(signals, axis=1), strict=True):
+            # prior standard deviation in units of the rms value of the signal
             size = float(np.sqrt(np.mean(signal**2)))
             found.append(Effect(law.name, label, prior={"offset": wide * (size or 1.0)}))
     return found
@@ -184,12 +192,15 @@ def _own_levels(linear: LinearModel) -> list[int]:
     if not linear.is_continuous:
         return []
     U, s, Vt = np.linalg.svd(linear.A)
+    # null space of A: the integrators; `away`: inputs that drive one
     free = s <= 1e-9 * s.max(initial=0.0)
     inverse = np.linalg.pinv(linear.A, rcond=1e-9)
     away = np.linalg.norm(U[:, free].T @ linear.B, axis=0) > 1e-9 * np.linalg.norm(linear.B, axis=0)
+    # levels of the outputs that an initial state or a constant input can set
     levels = [linear.C @ Vt[free].T, (linear.C @ inverse @ linear.B)[:, ~away]]
     span, own = np.hstack(levels), []
     span = span / np.maximum(np.linalg.norm(span, axis=0), 1e-300)
+    # an output needs an offset of its own if its unit vector lies outside of that span
     for i, unit in enumerate(np.eye(linear.n_outputs)):
         more = np.column_stack([span, unit])
         if np.linalg.matrix_rank(more, tol=1e-6) > np.linalg.matrix_rank(span, tol=1e-6):
@@ -204,7 +215,7 @@ _PREDICTED = (
     "by predictions one sample ahead, with process noise (horizon= gives short simulations)."
 )
 
-_MOST_LINES, _FEWEST_LINES = 200, 40  # frequencies that nonlinear effects are sought at, in all and of each
+_MOST_LINES, _FEWEST_LINES = 200, 40  # frequencies for nonlinear effects: all responses, each one
 
 
 def check_validation(model: Any, record: Any) -> None:
@@ -251,6 +262,7 @@ def spread_lines(data: list[Any]) -> list[Any]:
     total = sum(one.omega.size for one in data)
     if total <= _MOST_LINES:
         return data
+    # frequencies of each response in proportion to their number, evenly spread
     kept = [max(_FEWEST_LINES, one.omega.size * _MOST_LINES // total) for one in data]
     numbers = [
         np.linspace(0, one.omega.size - 1, min(n, one.omega.size)) for one, n in zip(data, kept, strict=True)
@@ -262,10 +274,10 @@ def about_noise(physical: PhysicalModel, data: list[Any], given: list[Any]) -> l
     """Return notes on the noise and the used points of frequency responses."""
     if not in_frequency(data):
         return []
-    said = windows(physical, [ResponseRecord.of(one, physical.linear) for one in data], None)[1]
+    about = windows(physical, [ResponseRecord.of(one, physical.linear) for one in data], None)[1]
     taken, of = (sum(one.omega.size for one in some) for some in (data, given))
     fewer = f"The search for nonlinear effects used {taken} of {of} frequencies; refine() uses all of them."
-    return [sentence for sentence in (said, fewer if taken < of else "") if sentence]
+    return [sentence for sentence in (about, fewer if taken < of else "") if sentence]
 
 
 def windows(
@@ -277,12 +289,15 @@ def windows(
     """
     if in_frequency(records):
         return records, " ".join(dict.fromkeys(record.note for record in records if record.note))
+    # a given horizon asks for free runs
     if horizon is not None:
         records = [r._changed(FreeRun) for r in records]
     cuts, note = free_runs([as_it_runs(physical, r) for r in records], records, horizon, known_start)
+    # no windows by default: is the model judged by predictions?
     if len(cuts[0]) == 1 and not note and any(leading_ratio(physical, r) is not None for r in records):
         note = _PREDICTED if physical.controller is None else _LOOPED
     pieces = []
+    # each window is a record with an initial state of its own
     for record, parts in zip(records, cuts, strict=True):
         pieces += [record] if len(parts) == 1 else [record._part(part) for part in parts]
     return pieces, note

@@ -17,9 +17,9 @@ from scipy.signal import lfilter
 from ..systems.linear import Array
 from .whitening import RESOLUTION, autoregression, innovations, stable_model
 
-_UNSEEN = 1e-7  # singular value of the unit-column Jacobian below which a direction is not seen
-_AWAY = 2.0  # times the power of a residual, to which only an error of the model moves it
-_ROUNDS, _ALIKE = 30, 0.03  # of a noise model, and its change, in its standard errors, that ends them
+_UNSEEN = 1e-7  # singular value of the Jacobian with unit columns below which a direction is not determined
+_AWAY = 2.0  # increase of the power of a residual that only an error of the model explains
+_ROUNDS, _ALIKE = 30, 0.03  # most iterations of a noise model; change in standard errors that ends them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,9 +75,10 @@ def pseudo_inverse(normal: Array, size: Array | None = None) -> tuple[Array, Arr
     """
     values, vectors, seen, size = _directions(normal, size)
     top = values.max(initial=0.0)
+    # inverse on the span that the data see, in the original units
     inverse = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / np.outer(size, size)
     lost = vectors[:, ~seen].T
-    lost = np.where(np.abs(lost) > 1e-3, lost, 0.0)  # no rounding beside what is truly lost
+    lost = np.where(np.abs(lost) > 1e-3, lost, 0.0)  # rounding errors become zero
     return inverse, lost / size, float(np.sqrt(top / max(values.min(initial=top), 1e-300)))
 
 
@@ -99,6 +100,7 @@ def unmoved(normal: Array, point: Array, home: Array) -> Array:
     [0.5 0.5]
     """
     _, vectors, seen, size = _directions(normal)
+    # along unseen directions back to the prior point
     lost = vectors[:, ~seen]
     return np.asarray(point - lost @ (lost.T @ ((point - home) * size)) / size)
 
@@ -108,8 +110,9 @@ def _directions(normal: Array, size: Array | None = None) -> tuple[Array, Array,
 
     Also return which of them the data determine, and the norms of the columns.
     """
+    # columns of unit norm, so that units do not matter
     size = np.sqrt(np.diag(normal)) if size is None else size
-    size = np.where(size <= 1e-100 * size.max(initial=0.0), 1.0, size)  # not felt: its squares would overflow
+    size = np.where(size <= 1e-100 * size.max(initial=0.0), 1.0, size)  # a column that is zero
     values, vectors = np.linalg.eigh(normal / np.outer(size, size))
     return values, vectors, values > _UNSEEN**2 * values.max(initial=0.0), size
 
@@ -132,6 +135,7 @@ def covariance(normal: Array, middle: Array | None = None, size: Array | None = 
         ``B^-1 M B^-1`` with B = normal and M = middle; infinite variance where the data see nothing.
     """
     inverse, lost, _ = pseudo_inverse(normal, size)
+    # sandwich estimate B^-1 M B^-1
     found = inverse if middle is None else inverse @ middle @ inverse
     blind = np.flatnonzero(np.any(lost, axis=0))
     found[blind, blind] = np.inf
@@ -158,6 +162,7 @@ def wald(difference: Array, covariance: Array) -> float:
     seen = np.isfinite(np.diag(covariance)) & np.isfinite(difference)
     d, C = difference[seen], covariance[np.ix_(seen, seen)]
     inverse, _, _ = pseudo_inverse(C)
+    # d' C^-1 d is chi-squared distributed
     return float(stats.chi2.sf(d @ inverse @ d, d.size)) if d.size else 1.0
 
 
@@ -193,17 +198,18 @@ def colored(
     """
     normal, middle = np.diag(precision.astype(float)), np.diag(precision.astype(float))
     at = [np.arange(precision.size)] * len(jacobians) if columns is None else columns
-    for i, (a, variance) in enumerate(_errors(residuals, jacobians, precision, order, at)):
+    for i, (a, variance) in enumerate(_noise_models(residuals, jacobians, precision, order, at)):
         a, variance = stable_model(a, variance)
         for jacobian, own in zip(jacobians, at, strict=True):
             J = jacobian[i]
+            # J' R J: filter the columns backward in time by 1 / A(z), then square
             backwards = J if a.size == 1 else lfilter([1.0], a, J[::-1], axis=0)
             normal[np.ix_(own, own)] += J.T @ J
             middle[np.ix_(own, own)] += variance * (backwards.T @ backwards)
     return normal, middle
 
 
-def _errors(
+def _noise_models(
     residuals: Sequence[Array],
     jacobians: Sequence[Array],
     precision: Array,
@@ -217,15 +223,18 @@ def _errors(
     data (Laird and Ware, Biometrics 38 (1982) 963). The orders are those of the residuals.
     """
     joined = np.concatenate(residuals, axis=1)
+    # degrees of freedom that the fit has used
     correction = joined.size / max(joined.size - precision.size, 1)
     models = [autoregression(row, order=order) for row in joined]
     joined = joined - joined.mean(axis=1, keepdims=True)
+    # start: models of the residuals as they are
     models = [(a, variance * correction) for a, variance in models]
-    least = RESOLUTION**2 * max(variance for _, variance in models)  # of an output that is no rounding
+    # least variance of an output whose residual is not rounding
+    least = RESOLUTION**2 * max(variance for _, variance in models)
     noisy = {i: model for i, model in enumerate(models) if model[1] > least}
     for _ in range(_ROUNDS if noisy else 0):
-        # expectation: how far the unknowns move, and what they leave
-        shift, roots = _unknowns(noisy, residuals, jacobians, precision, at)
+        # expectation: change of the unknowns, and the residual that it leaves
+        shift, roots = _shift_unknowns(noisy, residuals, jacobians, precision, at)
         left = joined - np.concatenate([J @ shift[own] for J, own in zip(jacobians, at, strict=True)], axis=1)
         if (np.sum(left**2, axis=1) > _AWAY * np.sum(joined**2, axis=1))[list(noisy)].any():
             break
@@ -240,7 +249,7 @@ def _errors(
     return [noisy.get(i, model) for i, model in enumerate(models)]
 
 
-def _unknowns(
+def _shift_unknowns(
     models: dict[int, tuple[Array, float]],
     residuals: Sequence[Array],
     jacobians: Sequence[Array],
@@ -255,12 +264,14 @@ def _unknowns(
     normal, slope = np.diag(precision.astype(float)), np.zeros(precision.size)
     for i, (a, variance) in models.items():
         for r, J, own in zip(residuals, jacobians, at, strict=True):
+            # whiten residual and Jacobian by A(z) of the output
             left, white = (innovations(a, x[i])[a.size - 1 :] for x in (r, J))
             normal[np.ix_(own, own)] += white.T @ white / variance
             slope[own] += white.T @ left / variance
     inverse, _, _ = pseudo_inverse(normal)
     size, roots = np.sqrt(np.maximum(np.diag(inverse), 1e-300)), []
     for own in at:
+        # root of the covariance of the record's own unknowns, by eigenvalues in units of their own
         values, vectors = np.linalg.eigh(inverse[np.ix_(own, own)] / np.outer(size[own], size[own]))
         roots.append(size[own, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
     return inverse @ slope, roots
@@ -281,6 +292,7 @@ def parameter_uncertainty(
     normal, middle = colored(residuals, jacobians, precision, order, columns)
     _, lost, condition = pseudo_inverse(normal)
     joined = np.concatenate(residuals, axis=1)
+    # standard deviation with the degrees of freedom of the fit
     noise = np.sqrt(np.mean(joined**2, axis=1) * joined.size / max(joined.size - precision.size, 1))
     return Uncertainty(covariance(normal, middle), noise, condition, lost)
 
@@ -325,6 +337,7 @@ def unseen_combinations(
             found.append(f"the record contains no information about {names[largest]}")
         elif terms:
             found.append(f"the record does not determine the combination {' '.join(terms)}, only the rest")
+    # pairs of coefficients with a correlation near one
     C = uncertainty.covariance[:p, :p]
     sd = standard_deviations(C)
     for i in range(p):

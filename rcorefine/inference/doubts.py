@@ -21,11 +21,11 @@ from .covariance import pseudo_inverse
 from .levels import levels
 from .refinement import Refinement
 
-_STILL = 1e-12  # of an output's size, below which it does not move
-_POOR, _GOOD = 50.0, 90.0  # fit in percent below which a swapped sign is tried; from which a fit is close
-_WITH = 0.2  # correlation with the initial model's run, from which on a sign is not in question
-_WIDE = 0.01  # std over the model's value, below which no valley is bent
-_AWAY, _BENT = 2.0, 4.0  # standard deviations away, and how much the error may differ there from the promise
+_STILL = 1e-12  # range over size of an output, below which it is constant
+_POOR, _GOOD = 50.0, 90.0  # fit in percent: below it a reversed sign is tried; above it a fit is good
+_WITH = 0.2  # correlation with the initial model above which a sign is not in doubt
+_WIDE = 0.01  # standard deviation over the nominal value, below which the cost is quadratic
+_AWAY, _BENT = 2.0, 4.0  # distance in standard deviations, and factor by which the cost may deviate there
 
 
 def stands_still(outputs: Array) -> Array:
@@ -38,6 +38,7 @@ def explains_nothing(fit: Array, n_samples: int, unknowns: int) -> bool:
 
     Compare the log-likelihood gain of the simulation with what as many parameters gain from noise.
     """
+    # error power over that of a constant; the log-likelihood gain is -N log of it
     left = np.clip((1.0 - np.asarray(fit) / 100.0) ** 2, 1e-300, 1.0)
     gain = -n_samples * float(np.sum(np.log(np.where(np.isfinite(left), left, 1.0))))
     return gain < 5.0 * unknowns + 20.0
@@ -64,36 +65,37 @@ def doubted(found: Refinement, fit: Any, again: Callable[[list[Measurement]], An
     outputs = np.concatenate([record.outputs for record in fit.segments], axis=1)
     labels = found.physical_model.linear.output_labels
     still = stands_still(outputs)
-    said, worthless = [], False
+    reasons, worthless = [], False
+    # reasons in turn: no motion, a wrong sign, a useless fit, aliasing, undetermined parameters
     if still.all():
-        said.append(f"{', '.join(labels)} does not move in this record, so it determines no parameter")
+        reasons.append(f"{', '.join(labels)} does not move in this record, so it determines no parameter")
         worthless = True
     elif found.parameters:
         idle = explains_nothing(found.fit, outputs.shape[1], fit.problem.size)
-        said += _turned(found, fit, again, labels)
-        if idle and not said:
-            said.append(
+        reasons += _check_sign(found, fit, again, labels)
+        if idle and not reasons:
+            reasons.append(
                 "the simulation (free run) explains nothing of the record "
                 f"(fit {np.nanmax(found.fit):.2g} %): a constant would fit as well"
             )
-        worthless |= idle or bool(said)
-        if (fast := _too_fast(found, fit, idle)) and not (worthless and not idle):
-            said.append(fast)
+        worthless |= idle or bool(reasons)
+        if (fast := _check_aliasing(found, fit, idle)) and not (worthless and not idle):
+            reasons.append(fast)
             worthless |= bool(np.nanmin(found.fit) < _GOOD)
-        if not worthless and (bent := _undetermined(found, fit)):
-            said.append(bent)
+        if not worthless and (bent := _check_curvature(found, fit)):
+            reasons.append(bent)
             worthless = True
-    if not said:
+    if not reasons:
         return found
-    for sentence in said:
+    for sentence in reasons:
         warn(sentence, IdentifiabilityWarning)
     if worthless:
-        message = f"Not to be trusted: {'; '.join(said)}. {found.message}"
+        message = f"Not to be trusted: {'; '.join(reasons)}. {found.message}"
         found = replace(found, success=False, message=message)
-    return replace(found, warnings=(*found.warnings, *said))
+    return replace(found, warnings=(*found.warnings, *reasons))
 
 
-def _turned(
+def _check_sign(
     found: Refinement, fit: Any, again: Callable[[list[Measurement]], Any], labels: Sequence[str]
 ) -> list[str]:
     """Return a hint if reversing the sign of an output improves the fit.
@@ -102,13 +104,14 @@ def _turned(
     """
     if np.nanmin(found.fit) >= _POOR:
         return []
-    against = _against(found, fit.segments)
+    against = _opposed_outputs(found, fit.segments)
     for which in [against] if against.sum() == 1 else [against, *np.eye(len(labels))[against]]:
         if not which.any():
             break
+        # fit again with the sign of the suspected outputs reversed
         sign = (1.0 - 2.0 * which)[:, None]
         other = again([record._changed(outputs=sign * record.outputs) for record in fit.segments])
-        # the residual power of all outputs, each in the log
+        # cost: sum of the logarithms of the residual power over the outputs
         if other.cost < fit.cost + 2.0 * np.log(levels().turned_over):
             names = ", ".join(label for label, one in zip(labels, which, strict=True) if one)
             return [
@@ -118,17 +121,18 @@ def _turned(
     return []
 
 
-def _against(found: Refinement, segments: Sequence[Measurement]) -> Array:
+def _opposed_outputs(found: Refinement, segments: Sequence[Measurement]) -> Array:
     """Outputs that do not go with the free run of the initial model."""
     runs = [simulated(found.physical_model, record, "estimate", led=True).outputs for record in segments]
     measured = [record.outputs for record in segments]
+    # correlation of simulation and measurement, without their means
     one, two = (np.concatenate(rows, axis=1) for rows in (runs, measured))
     one, two = (rows - rows.mean(axis=1, keepdims=True) for rows in (one, two))
     size = np.linalg.norm(one, axis=1) * np.linalg.norm(two, axis=1)
     return np.asarray(np.sum(one * two, axis=1) < _WITH * size)
 
 
-def _too_fast(found: Refinement, fit: Any, idle: bool) -> str:
+def _check_aliasing(found: Refinement, fit: Any, idle: bool) -> str:
     """Modes above half the sampling frequency that the outputs show.
 
     A fit that explains nothing may end anywhere: then only the initial model counts.
@@ -155,6 +159,7 @@ def _fast_share(model: LinearModel, fit: Any, limit: float) -> float:
     """
     poles, left, right = eig(model.A, left=True, right=True)
     fast = np.flatnonzero(np.abs(poles.imag) >= limit)
+    # projector on the fast modes, from right and left eigenvectors
     part = np.zeros_like(model.A)
     for k in fast:
         along = left[:, k].conj()
@@ -165,11 +170,12 @@ def _fast_share(model: LinearModel, fit: Any, limit: float) -> float:
         run = engine.run(theta, start, sensitivity=False, histories=True, check=False)
         own.append(model.C @ part @ np.nan_to_num(run.states[:n]))
         whole.append(run.outputs)
+    # power of the fast part over that of the output
     power = np.var(np.concatenate(whole, axis=1), axis=1)
     return float(np.max(np.var(np.concatenate(own, axis=1), axis=1) / np.maximum(power, 1e-300)))
 
 
-def _undetermined(found: Refinement, fit: Any) -> str:
+def _check_curvature(found: Refinement, fit: Any) -> str:
     """Return a warning that names the undetermined linear parameters.
 
     Around these, the error does not grow as the standard deviation predicts.
@@ -181,6 +187,7 @@ def _undetermined(found: Refinement, fit: Any) -> str:
     problem, point = fit.problem, fit.result.point
     if not fit.structure.is_linear:
         return ""
+    # quadratic model of the cost at the minimum
     normal, _ = problem.evaluate(point).normal()
     bounds = problem.at_bound(point, normal)
     inverse, _, _ = pseudo_inverse(normal)
@@ -189,10 +196,13 @@ def _undetermined(found: Refinement, fit: Any) -> str:
     bent = []
     for i, row in enumerate(found.parameters):
         label = fit.structure.parameters[i].label
-        wide = 0 < _WIDE * abs(row.initial) < row.std < np.inf  # what the model has no value for has no scale
+        # a parameter without a nominal value has no scale
+        wide = 0 < _WIDE * abs(row.initial) < row.std < np.inf
         if row.role == "offset" or not wide or label in bounds or inverse[i, i] <= 0:
             continue
+        # step of two standard deviations along one parameter, the others following
         step = _AWAY * np.sqrt(noise / inverse[i, i]) * inverse[:, i]
+        # rise of twice the log-likelihood on both sides; 4 if the standard deviations hold
         rise = [2.0 * (problem.cost(point + side * step) - least) / noise for side in (-1.0, 1.0)]
         if max(rise) > _BENT * _AWAY**2 or min(rise) < _AWAY**2 / _BENT:
             bent.append(label)

@@ -14,8 +14,8 @@ from scipy.linalg import solve_triangular
 from ..results import Row
 from ..systems.linear import Array
 
-_INSIDE = 1e-6  # share of a column, or sine of an angle, below which it lies in what was fitted
-_FEWEST = 10  # degrees of freedom that a test leaves at least
+_INSIDE = 1e-6  # share of a column, or sine of an angle, below which it lies in the span of the fit
+_FEWEST = 10  # least degrees of freedom that remain
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,27 +79,30 @@ def projected_test(name: str, residual: Array, left: Array, size: Array, basis: 
 
     `left` holds the projected columns, `size` their norms before the projection.
     """
+    # columns inside the span of the basis cannot explain more
     keep = lengths(left) > _INSIDE * np.maximum(size, 1e-300)
     q = rank_basis(left if keep.all() else left[:, keep])
     k, basis = q.shape[1], as_basis(basis)
     if k == 0 or residual.size - basis.rank - k < _FEWEST:
-        return _nothing(name)
+        return _empty_test(name)
+    # gain: squared length of the residual along the new directions
     along = q.T @ residual
     gain = float(along @ along)
-    return _tested(name, residual, k, basis, gain, unequal_variances(gain, q, residual, basis))
+    return _test_gain(name, residual, k, basis, gain, unequal_variances(gain, q, residual, basis))
 
 
-def _nothing(name: str) -> FTest:
+def _empty_test(name: str) -> FTest:
     return FTest(name, 0.0, 0, 1.0, 0.0, 1.0)
 
 
-def _tested(name: str, residual: Array, k: int, basis: Basis, gain: float, unequal: float) -> FTest:
+def _test_gain(name: str, residual: Array, k: int, basis: Basis, gain: float, unequal: float) -> FTest:
     """Return the test of k directions from the gain that they achieve.
 
     `unequal` is the p-value for unequal variances.
     """
     free = residual.size - basis.rank - k
     rest = max(float(residual @ residual) - gain, 1e-300)
+    # F = (gain / k) / (rest / degrees of freedom)
     statistic = gain / k / (rest / free)
     p_equal = float(stats.f.sf(statistic, k, free))
     return FTest(name, float(statistic), k, max(p_equal, unequal), gain, p_equal)
@@ -136,33 +139,37 @@ def apart_test(
     """
     basis = as_basis(basis)
     if len(parts) == 1 or basis.own:
-        return f_test(name, residual, _side_by_side(parts, residual.size), basis)
+        return f_test(name, residual, _join_columns(parts, residual.size), basis)
+    # orthonormal columns of each output
     columns = [(rows, rank_basis(in_own_units(part))) for rows, part in parts]
     columns = [(rows, part) for rows, part in columns if part.shape[1]]
     if not columns:
-        return _nothing(name)
+        return _empty_test(name)
     common = basis.common
     inside = np.hstack([common[rows].T @ part for rows, part in columns])  # (b, K)
+    # Gram matrix of the columns without their part in the basis
     values, vectors = np.linalg.eigh(np.eye(inside.shape[1]) - inside.T @ inside)
     new = values > _INSIDE**2
     k = int(new.sum())
     if k == 0 or residual.size - basis.rank - k < _FEWEST:
-        return _nothing(name)
+        return _empty_test(name)
+    # residual along the new directions, and the part of it that they explain
     along = vectors[:, new].T @ np.concatenate([part.T @ residual[rows] for rows, part in columns])
     gain = float(np.sum(along**2 / values[new]))
     taken = vectors[:, new] @ (along / values[new])
     explained = -common @ (inside @ taken)
+    # what the columns leave of the basis; the explained part, row by row
     beyond, at = common.copy(), 0
     for rows, part in columns:
         mine = slice(at, at + part.shape[1])
         explained[rows] += part @ taken[mine]
         beyond[rows] -= part @ inside[:, mine].T
         at = mine.stop
-    unequal = _apart_variances(gain, columns, _outside(beyond, inside), basis, residual, explained)
-    return _tested(name, residual, k, basis, gain, unequal)
+    unequal = _apart_variances(gain, columns, _complement(beyond, inside), basis, residual, explained)
+    return _test_gain(name, residual, k, basis, gain, unequal)
 
 
-def _outside(beyond: Array, inside: Array) -> Array:
+def _complement(beyond: Array, inside: Array) -> Array:
     """Return an orthonormal basis of a basis outside a span of columns.
 
     `beyond` is what the columns leave of the basis; `inside` holds its inner products with the columns.
@@ -184,10 +191,12 @@ def _apart_variances(
 
     It is `unequal_variances` for the span of the columns and `beyond`, without the span of the basis.
     """
+    # leverage of each row: share of the new directions
     weight = np.einsum("ij,ij->i", beyond, beyond) - basis.leverage
     for rows, part in columns:
         weight[rows] += np.einsum("ij,ij->i", part, part)
     weight = np.maximum(weight, 0.0)
+    # jackknife: residual over one less its leverage
     free = np.maximum(1.0 - weight - basis.leverage, 1e-9)
     square = ((residual - explained) / free) ** 2
     # trace of the square of D P D, P = S S' + T T' - Q Q' the projection, D what is left of each row
@@ -209,11 +218,12 @@ def _by_box(gain: float, total: float, size: float, weight: Array) -> float:
     """
     if total <= 0.0:
         return 1.0 if gain <= 0.0 else 0.0
+    # degrees of freedom of Box: tr(M)^2 / tr(M^2)
     dof = total**2 / size
     return float(stats.f.sf(gain / total, dof, weight.sum() ** 2 / np.sum(weight**2)))
 
 
-def _side_by_side(parts: Sequence[tuple[NDArray[np.intp], Array]], count: int) -> Array:
+def _join_columns(parts: Sequence[tuple[NDArray[np.intp], Array]], count: int) -> Array:
     """Columns that have rows of their own as columns (N, K) of all rows."""
     whole, at = np.zeros((count, sum(part.shape[1] for _, part in parts))), 0
     for rows, part in parts:
@@ -256,15 +266,17 @@ def unequal_variances(gain: float, q: Array, residual: Array, basis: Basis | Arr
     Box, G. E. P., Ann. Math. Statist. 25 (1954) 290; MacKinnon and White, J. Econometrics
     29 (1985) 305.
     """
+    # leverage of each sample in q, and what the fit leaves of it
     weight = np.einsum("ij,ij->i", q, q)
     free = np.maximum(1.0 - weight - as_basis(basis).leverage, 1e-9)
+    # HC3 covariance of q' residual
     scaled = q * (project(residual, q) / free)[:, None]
     covariance = scaled.T @ scaled
     return _by_box(gain, float(np.trace(covariance)), float(np.sum(covariance**2)), weight)
 
 
-_RANK = 3e-7  # singular value, relative, below which a direction is none
-_SURE = 1e-6  # eigenvalue of the Gram matrix, relative, above which its directions are orthogonal at once
+_RANK = 3e-7  # relative singular value below which a direction does not count
+_SURE = 1e-6  # relative eigenvalue of the Gram matrix above which its directions are orthogonal
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,11 +306,12 @@ class Basis:
         """
         if len(common) == 1:
             return cls(rank_basis(np.hstack([common[0], own[0]])))
+        # rows of each record; its own directions first, then the common ones outside of these
         ends = np.cumsum([len(rows) for rows in common])
         places = [slice(int(end) - len(rows), int(end)) for end, rows in zip(ends, common, strict=True)]
-        alone = tuple((at, rank_basis(columns)) for at, columns in zip(places, own, strict=True))
+        separate = tuple((at, rank_basis(columns)) for at, columns in zip(places, own, strict=True))
         whole = np.concatenate(common)
-        return cls(rank_basis(project(whole, cls(whole[:, :0], alone)), lengths(whole)), alone)
+        return cls(rank_basis(project(whole, cls(whole[:, :0], separate)), lengths(whole)), separate)
 
     @property
     def rank(self) -> int:
@@ -351,20 +364,23 @@ def rank_basis(columns: Array, sizes: Array | None = None) -> Array:
         return rank_basis(in_own_units(columns))
     own = np.sqrt(np.diag(gram))
     sizes = own if sizes is None else sizes
+    # columns that are zero or depend on the basis count as none
     kept = np.flatnonzero((own > 1e-12 * max(float(own.max()), 1e-300)) & (own > _RANK * sizes))
     if not kept.size:
         return columns[:, :0]
     sizes = sizes[kept]
+    # eigenvectors of the Gram matrix of columns of unit size
     values, vectors = np.linalg.eigh(gram[np.ix_(kept, kept)] / np.outer(sizes, sizes))
-    top = max(float(values[-1]), 1.0)  # less where hardly anything is left of what counted as one
+    top = max(float(values[-1]), 1.0)  # smaller where the columns are nearly in the basis
     seen = values > _RANK**2 * top
     if not seen.any():
         return columns[:, :0]
     turn = np.zeros((columns.shape[1], int(seen.sum())))
+    # orthonormal basis from the directions with nonzero eigenvalues
     turn[kept] = vectors[:, seen] / np.sqrt(values[seen]) / sizes[:, None]
     basis = columns @ turn
     if values[seen][0] < _SURE * top:
-        # once more: the small directions come out of the Gram matrix only nearly orthogonal
+        # orthogonalize again: small directions of the Gram matrix are only nearly orthogonal
         lower = np.linalg.cholesky(basis.T @ basis)
         basis = basis @ solve_triangular(lower, np.eye(len(lower)), lower=True).T
     return np.asarray(basis)

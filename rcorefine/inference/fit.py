@@ -21,7 +21,7 @@ from .problem import Descent, Problem, descend
 from .search import search, starting_states, sufficient_steps
 from .starts import Motion, shape_starts
 
-_ROUGHLY, _EXACTLY = 1e-2, 1e-9  # of the log likelihood: a polish before and after the substep is settled
+_ROUGHLY, _EXACTLY = 1e-2, 1e-9  # tolerance in log-likelihood before and after the substeps are final
 
 
 class Fit:
@@ -37,7 +37,8 @@ class Fit:
         tolerance: float,
     ) -> None:
         self.structure, self.roles, self.segments, self.noise = structure, tuple(roles), segments, noise
-        self.initial = None if initial is None else _resized(initial, structure.n_states)
+        self.initial = None if initial is None else _pad_state(initial, structure.n_states)
+        # table of parameters with their priors; weights of the outputs, one over the noise level
         self.table = parameter_table(structure, roles, tolerance)
         self.mean, self.sd = priors(self.table)
         self.weights = output_weights(segments, noise)
@@ -77,12 +78,15 @@ class Fit:
         The search begins at `starts`, by default at the shapes of the laws. With `near`, it is left
         out: the minimum of that fit is the start.
         """
+        # start from the minimum of a similar fit
         if near is not None:
             self.steps = near.steps
             self.problem = self.build(self.segments, self.steps)
             point = self.problem.pack(*near.problem.unpack(near.result.point))
         else:
+            # first substeps: 1 is exact for linear models, stages give half the substeps
             self.steps = substeps or (1 if self.structure.is_linear else 3 - self.structure.stages)
+            # search from several starting values of the shape coefficients
             starts = starts or shape_starts(self.structure, self.structure.start(), motion)
             point, found = search(self.build, self.structure, self.segments, starts, self.steps)
             self.steps = substeps or found
@@ -103,10 +107,12 @@ class Fit:
         self._settle(min(points, key=self.problem.cost), None)
 
     def _settle(self, point: Array, substeps: int | None) -> None:
+        # coarse fit; noise levels and substeps until they no longer change; then an exact fit
         self._polish(point, _ROUGHLY)
         while True:
             self._reweigh()
             finer = sufficient_steps(self.build, self.segments, self.problem, self.result.point)
+            # fixed by the user, or sufficient
             if substeps or finer == self.steps:
                 break
             self.steps = finer
@@ -126,6 +132,7 @@ class Fit:
             return
         self.weights = output_weights(self.segments, None, self.problem, self.result.point)
         self.problem = self.build(self.segments, self.steps)
+        # new weights move the minimum only with several outputs, or against priors
         if self.weights.size > 1 or np.isfinite(self.sd[~weak_priors(self.table)]).any():
             self._polish(self.result.point, _ROUGHLY)
 
@@ -137,13 +144,15 @@ class Fit:
     @property
     def cost(self) -> float:
         """Log of the residual power over the outputs: comparable between fits."""
+        # concentrated log-likelihood: log of the mean square of each output
         blocks = self.problem.own_blocks(self.result.point)
         residual = np.concatenate([r for r, _, _ in blocks], axis=1) / self.problem.weights[:, None]
         return float(np.sum(np.log(np.mean(residual**2, axis=1) + 1e-300)))
 
 
-def _resized(initial: Array, n: int) -> Array:
+def _pad_state(initial: Array, n: int) -> Array:
     """Known initial state; states that effects add start at rest."""
+    # zero for the states of effects
     full = np.zeros(n)
     if initial.ndim != 1 or initial.size > n:
         raise ct.ControlDimension(f"x0 has shape {initial.shape}; the model has {n} states")

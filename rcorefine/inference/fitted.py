@@ -26,7 +26,7 @@ from .refinement import Refinement
 from .starts import Motion, law_widths
 from .whitening import Whitener
 
-_STRONGER = 1e-3  # share of a gain
+_STRONGER = 1e-3  # relative increase of an observer gain for a difference
 
 
 @dataclass(eq=False)
@@ -74,6 +74,7 @@ class FittedModel:
         if ratio == 0:
             lead: Array | None = self.problem.engines[0].lead
             return lead
+        # gain for this ratio, computed once
         if ratio not in self._gains:
             self._gains[ratio] = existing_gain(
                 self.structure, self.theta, self.problem.records[0], ratio, at=self.force_at
@@ -84,6 +85,7 @@ class FittedModel:
         """Return the model with unmeasured forces at another place."""
         if at == self.force_at:
             return self
+        # free runs do not depend on where an unmeasured force acts
         free = {ratio: blocks for ratio, blocks in self._blocks.items() if ratio == 0}
         return replace(self, force_at=at, _blocks=free, _gains={}, _states={})
 
@@ -119,6 +121,7 @@ class FittedModel:
             for i, (engine, start) in enumerate(zip(self.problem.engines, starts, strict=True)):
                 run = engine.run(theta, start, sensitivity=False, gain=gain, histories=True, check=False)
                 states = np.nan_to_num(run.states)
+                # the states are corrected, x + K (y - y_model): take the correction back
                 if gain is not None:
                     states = states + gain @ (self.residuals(ratio)[i] / self.problem.weights[:, None])
                 found.append(states)
@@ -134,18 +137,21 @@ class FittedModel:
         There are no columns without an observer, or where a known controller stabilizes the run. No observer
         of a nonlinear model is optimal, and the improvement by a better one is no fault of the model.
         """
+        # no columns without an observer, or with a known controller
         K, records = self.gain(0.0), self.problem.records
         known = self.structure.model.controller is not None
         columns = [np.zeros((*r.outputs.shape, 0 if K is None or known else len(r.outputs))) for r in records]
         theta, starts = self.problem.unpack(self.point)
+        # derivative by the gain of one output: 0.1 % more, difference of the residuals
         for k in range(columns[0].shape[2]):
             stronger = np.array(K)
             stronger[:, k] *= 1.0 + _STRONGER
             for i, (engine, start) in enumerate(zip(self.problem.engines, starts, strict=True)):
                 run = engine.run(theta, start, sensitivity=False, gain=stronger, check=False)
-                led = self.problem.weights[:, None] * (run.outputs - engine.data.outputs)
-                if np.isfinite(led).all():  # a lead that lets the run blow up is none
-                    columns[i][:, :, k] = led - self.residuals()[i]
+                error = self.problem.weights[:, None] * (run.outputs - engine.data.outputs)
+                if np.isfinite(error).all():  # no column if the run diverges
+                    columns[i][:, :, k] = error - self.residuals()[i]
+        # zero where the samples cannot be compared
         judged = self.problem.judged(theta)
         return [weight[:, :, None] * block for weight, block in zip(judged, columns, strict=True)]
 
@@ -170,6 +176,7 @@ class FittedModel:
         The added effects are absent at that point; their shape coefficients have their starting values.
         """
         old = self.refinement
+        # old effects first, so that their coefficients keep their columns
         base = Structure(old.physical_model, [*old.effects, *effects])
         widths = law_widths(base, motion)
         widths.update(old.constants)
@@ -178,6 +185,7 @@ class FittedModel:
         mean, sd = priors(parameter_table(structure, roles, self.tolerance))
         problem = self.problem.like(structure, prior_mean=mean, prior_sd=sd, substeps=old.substeps)
         theta, starts = self.problem.unpack(self.point)
+        # added effects are absent, their states zero
         full = np.concatenate([theta, structure.start()[theta.size :]])
         added = structure.n_states - starts.shape[1]
         return problem, problem.pack(full, np.pad(starts, ((0, 0), (0, added))))
@@ -200,8 +208,10 @@ def coefficient_covariance(
     The shape is (p, p); `blocks` are those of `evaluated`.
     """
     p, white = problem.n_theta, [whitener.apply([j]) for _, j in blocks]
+    # one record: information matrix J'J of the whitened Jacobian
     if len(white) == 1:
         return covariance(white[0].T @ white[0] + np.diag(problem.precision))[:p, :p]
+    # several records: eliminate the initial state of each (Schur complement)
     found = Bordered.of(white, [np.zeros(len(j)) for j in white], p)
     prior = np.diag(problem.precision[:p])
     return covariance(found.condensed() + prior, size=np.sqrt(np.diag(found.common + prior)))
@@ -232,14 +242,17 @@ def fitted_from(
     mean, sd = priors(parameter_table(structure, refinement.roles, tolerance))
     shape = refinement.rmse.shape
     given: dict[str, Any] = {"prior_mean": mean, "prior_sd": sd, "substeps": steps}
+    # noise level: declared, of the measured points, or that of the residual
     if noise is not None:
         level = np.broadcast_to(np.asarray(noise, float), shape)
-    elif in_frequency(records):  # in units of the noise of the points
+    elif in_frequency(records):  # relative to the noise of the points
         plain = Problem(structure, records, np.ones(shape), **given)
         level = 1.0 / output_weights(records, None, plain, plain.pack(theta, refinement.initial_states))
     else:
         level = refinement.rmse
+    # an exact record has a tiny noise level, not none
     spread = np.concatenate([r.outputs for r in records], axis=1).std(axis=1)
     weights = 1.0 / np.maximum(level, 1e-12 * np.where(spread > 0, spread, 1.0))
+    # weights are one over the noise level
     problem = Problem(structure, records, weights, **given)
     return FittedModel(refinement, problem, problem.pack(theta, refinement.initial_states), tolerance)

@@ -31,12 +31,12 @@ from .sensitivities import force_responses
 from .whitening import Whitener
 
 _COUNT = 15  # knots along each signal
-_ALIKE = 2.0  # rms of the motion over which neighbors are alike
-_SIZES = np.logspace(0.0, 10.0, 31)  # variance of the curve over that of the noise, tried
-_SHARES = 10.0 ** (np.arange(-199, 1) / 40.0 - 1.0 / 80.0)  # sizes up to 1, in the middle of even steps
-_SETTLED = 1e-3  # relative change of the residual that is none
+_ALIKE = 2.0  # correlation length of the curve over the rms of the motion
+_SIZES = np.logspace(0.0, 10.0, 31)  # candidate variances of the curve over that of the noise
+_SHARES = 10.0 ** (np.arange(-199, 1) / 40.0 - 1.0 / 80.0)  # sizes up to 1, midpoints of equal steps
+_SETTLED = 1e-3  # relative change of the residual that ends the iteration
 _EVALUATIONS = 6
-_STIFF = 1e6  # one over the prior standard deviation of what is held, in typical sizes
+_STIFF = 1e6  # inverse prior standard deviation of held coefficients, in typical sizes
 
 
 class Curve(NamedTuple):
@@ -68,9 +68,10 @@ class Curve(NamedTuple):
         """Knots where a motion d, v (N,) spends its time."""
         rms = float(np.sqrt(np.mean(v**2))) or 1.0
         at_d, at_v = _knots(d), _knots(v)
-        blocks = [_alike(x) for x in (at_d, at_v) if x.size]
+        # prior covariance, block diagonal: f(d), g(v), v h(d)
+        blocks = [_prior_covariance(x) for x in (at_d, at_v) if x.size]
         if at_d.size and at_v.size:
-            blocks.append(_alike(at_d))
+            blocks.append(_prior_covariance(at_d))
         return cls(place, at_d, at_v, rms, np.linalg.cholesky(block_diag(*blocks)), kind)
 
     def columns(self, d: Array, v: Array) -> Array:
@@ -101,7 +102,7 @@ def _knots(x: Array) -> Array:
     return np.asarray(0.5 * (np.quantile(x, levels) + x.min() + spread * levels))
 
 
-def _alike(knots: Array) -> Array:
+def _prior_covariance(knots: Array) -> Array:
     """Prior covariance of the values at knots."""
     rms = float(np.sqrt(np.mean((knots - knots.mean()) ** 2)))
     return np.exp(-np.abs(knots[:, None] - knots) / (_ALIKE * rms))
@@ -156,6 +157,7 @@ def evidence(residual: Array, columns: Array) -> Evidence:
     Evidence
     """
     values, along = _spectrum(residual, columns)
+    # sizes to try, relative to the best determined direction
     sizes = _SIZES / values[-1]
     gain, price, seen = _at_sizes(values, along, sizes)
     best = int(np.argmax(gain))
@@ -179,6 +181,7 @@ def averaged_evidence(residual: Array, columns: Array) -> float:
         Near 0 where the record would not show a force of size 1, far below where it would and shows none.
     """
     values, along = _spectrum(residual, columns)
+    # numerical integral over the sizes
     gain = _at_sizes(values, along, _SHARES**2)[0]
     return float(np.logaddexp.reduce(gain + np.log(_SHARES)) + np.log(np.log(_SHARES[1] / _SHARES[0])))
 
@@ -188,6 +191,7 @@ def _spectrum(residual: Array, columns: Array) -> tuple[Array, Array]:
 
     Also return the square of the residual along each direction. Both have shape (k,).
     """
+    # eigenvalues of X'X: how much each direction of the curve moves the residual
     values, vectors = np.linalg.eigh(columns.T @ columns)
     values = np.maximum(values, 1e-300)
     return values, (vectors.T @ (columns.T @ residual)) ** 2 / values
@@ -199,6 +203,7 @@ def _at_sizes(values: Array, along: Array, sizes: Array) -> tuple[Array, Array, 
     Both have shape (s,). Also return how well the data determine each direction, shape (s, k).
     """
     seen = sizes[:, None] * values
+    # log evidence of a normal prior: sum of a s / (1 + s) less log(1 + s), each over two
     price = 0.5 * np.sum(np.log1p(seen), axis=1)
     return 0.5 * np.sum(along * seen / (1.0 + seen), axis=1) - price, price, seen
 
@@ -274,7 +279,8 @@ def fit_free_form(
     n, k = fitted.point.size, len(curve.root)
     point, values = (fitted.point, np.zeros(k)) if start is None else (start.fitted.point, start.values)
     held = np.sqrt(fitted.problem.precision)
-    if curve.kind == OutputCurve.name:  # a constant before a free curve only moves its knots
+    # hold a constant before a free curve, which would only shift its knots
+    if curve.kind == OutputCurve.name:
         s = fitted.structure
         constant = [s.effects[q.effect].spec.holds_constant for q in s.parameters]
         held[: len(constant)][constant] = _STIFF / fitted.problem.sizes_at(point)[: len(constant)][constant]
@@ -282,10 +288,12 @@ def fit_free_form(
     mean = np.where(held > 0, mean, 0.0)
     inverse = np.linalg.inv(curve.root)
     for _ in range(rounds):
-        model = _with(fitted, curve, point, values)
-        white, J, X = _linear(model, fitted.at(point), curve, whitener, ratio)
+        # linearize about the present point and curve
+        model = _with_curve(fitted, curve, point, values)
+        white, J, X = _linearize(model, fitted.at(point), curve, whitener, ratio)
+        # basis of all other unknowns with their priors, to be projected off
         basis = rank_basis(np.vstack([J, np.diag(held)]))
-        # what would be left without the curve, and what the curve can do about it
+        # residual without the curve, and the columns of the curve, outside of the basis
         both = np.vstack([np.column_stack([white - X @ values, X @ curve.root]), np.zeros((n, 1 + k))])
         both = project(both, basis)
         found = evidence(both[:, 0], both[:, 1:])
@@ -293,20 +301,22 @@ def fit_free_form(
 
         def rows(at: Array, prior: Array = prior, whitener: Whitener = whitener) -> Rows:
             try:
-                led = _with(fitted, curve, at[:n], at[n:]), fitted.at(at[:n])
-                white, J, X = _linear(*led, curve, whitener, ratio)
-            except ModelError:  # its linear model runs away within one sample
+                models = _with_curve(fitted, curve, at[:n], at[n:]), fitted.at(at[:n])
+                white, J, X = _linearize(*models, curve, whitener, ratio)
+            except ModelError:  # the linear model diverges within one sample
                 return Rows(np.full(n + k, np.inf), np.zeros((n + k, n + k)))
             zeros = np.zeros((n, k))
             jacobian = np.block([[J, X], [np.diag(held), zeros], [zeros.T, prior]])
             return Rows(np.concatenate([white, held * (at[:n] - mean), prior @ at[n:]]), jacobian)
 
+        # Gauss-Newton in the point and the values of the curve
         sizes = np.append(fitted.problem.sizes_at(point), np.sqrt(found.variance) * np.ones(k))
         done = gauss_newton(
             rows, np.append(point, values), sizes=sizes, evaluations=_EVALUATIONS, tolerance=1e-4
         )
         point, values = done.point[:n], done.point[n:]
-        model = _with(fitted, curve, point, values)
+        model = _with_curve(fitted, curve, point, values)
+        # whiten anew with the residual that is left
         before, whitener = whitener, fitted.problem.whitener(model.residuals(ratio))
         if done.converged and np.allclose(before.scales, whitener.scales, rtol=_SETTLED):
             break
@@ -314,7 +324,7 @@ def fit_free_form(
     return FreeForm(curve, values, model, whitener, penalty, found.dof)
 
 
-def _with(fitted: FittedModel, curve: Curve, point: Array, values: Array) -> FittedModel:
+def _with_curve(fitted: FittedModel, curve: Curve, point: Array, values: Array) -> FittedModel:
     """Return the model with a curve of the given values added.
 
     `point` is a point of the model without the curve.
@@ -326,7 +336,7 @@ def _with(fitted: FittedModel, curve: Curve, point: Array, values: Array) -> Fit
     return FittedModel(fitted.refinement, problem, point, fitted.tolerance, fitted.force_at)
 
 
-def _linear(
+def _linearize(
     model: FittedModel, without: FittedModel, curve: Curve, whitener: Whitener, ratio: float
 ) -> tuple[Array, Array, Array]:
     """Return the white residual and its derivatives.
@@ -377,9 +387,9 @@ def channel_signal(fitted: FittedModel, label: str, i: int) -> Array:
     return np.asarray(run.outputs[list(model.output_labels).index(label)])
 
 
-_LEVELS = np.logspace(-3, 1, 9)  # of the force that drives the estimate, tried by likelihood
-_MEMORY = (3.0, 12.0, 50.0)  # samples for which it lasts, tried too
-_TRIED_ON = 1000  # samples
+_LEVELS = np.logspace(-3, 1, 9)  # candidate levels of the noise that drives the force
+_MEMORY = (3.0, 12.0, 50.0)  # candidate correlation times in samples
+_TRIED_ON = 1000  # samples for the likelihood
 
 
 def estimated_force(
@@ -425,18 +435,21 @@ def estimated_force(
     y = y - y.mean(axis=1, keepdims=True)
     runs = []
     for memory in _MEMORY:
+        # the force is a state with a correlation time: df/dt = -f / memory + noise
         A = np.zeros((n + 1, n + 1))
         A[:n, :n], A[:n, n], A[n, n] = linear.A, act, -1.0 / (memory * record.dt)
         F, G0, G1 = discretize(A, B, record.dt, hold)
         drive = (G0 @ w + G1 @ np.hstack([w[:, 1:], w[:, -1:]])).T
-        # a force that moves the output by its own size within a sample: the scale of the walk
+        # unit: the force that changes the output by its own size within a sample
         reach = np.linalg.norm(C @ F[:, -1]) + np.linalg.norm(C[:, -1]) + 1e-300
         unit = float(np.linalg.norm(y.std(axis=1))) / reach
         runs += [_Walk(F, C, R, y.T, drive, share * unit) for share in _LEVELS]
+    # choose level and correlation time by the likelihood on the first samples
     likelihoods = [run.smoothed(_TRIED_ON).log_likelihood for run in runs]
     if not np.isfinite(likelihoods).any():
         return np.zeros(record.n_samples), np.zeros((n, record.n_samples)), np.inf
     best = runs[int(np.nanargmax(likelihoods))]
+    # Kalman smoother over the whole record
     smoothed = best.smoothed()
     states = (smoothed.states * best.size).T
     std = best.size[n] * np.sqrt(max(smoothed.covariance[n, n], 0.0))
@@ -461,7 +474,8 @@ class _Walk(NamedTuple):
     def smoothed(self, most: int | None = None) -> Smoothed:
         """States in their sizes, over the first samples or all."""
         size = self.size
-        Q = 1e-12 * np.mean(np.diag(self.R)) * np.eye(size.size)  # no direction without any noise
+        Q = 1e-12 * np.mean(np.diag(self.R)) * np.eye(size.size)  # a little process noise in every direction
         Q[-1, -1] += 1.0
+        # states in units of their sizes
         F, C, drive = self.F * size / size[:, None], self.C * size, self.drive[:most] / size
         return smooth(F, C, Q, self.R, self.outputs[:most], drive=drive)

@@ -119,6 +119,7 @@ class Levels:
         estimate is not called a success.
     """
 
+    # residual tests and comparison of hypotheses
     noise_excess: float = 1.2
     rival: float = 9.2
     named: float = 0.95
@@ -126,8 +127,10 @@ class Levels:
     disagree: float = 0.005
     same_value: float = 0.005
     off: float = 0.05
+    # significance of coefficients
     power: float = 1.645
     force_size: float = 6.0
+    # noise, offsets and lines in the residual
     colored_fit: float = 75.0
     colored_size: float = 3.0
     drowned: float = 50.0
@@ -135,22 +138,28 @@ class Levels:
     line: float = 30.0
     line_share: float = 0.2
     line_drift: float = 0.2
+    # decision of a diagnosis: parameters or effects
     no_law: float = 0.05
     moved: float = 3.0
     moved_far: float = 0.3
     moved_wide: float = 2.0
+    # stepwise improvement on validation data
     earned: float = 0.05
     matters: float = 0.01
     spoiled: float = 0.02
+    # failure map
     failure: float = 0.01
     failure_besides: float = 0.005
+    # alarms of a monitor
     alarm_place: float = 0.99
     alarm_left: float = 1.5
     alarm_worth: float = 12.0
     alarm_gone: float = 3.0
     alarm_missed: float = 6.0
+    # changes that the data cannot distinguish
     collinear: float = 0.01
     blurred: float = 0.05
+    # checks of a fit
     turned_over: float = 0.5
     aliased: float = 0.01
 
@@ -181,6 +190,7 @@ def levels() -> Levels:
     >>> del ct.config.defaults["rcorefine.rival"]
     """
     prefix = "rcorefine."
+    # only keys of this package
     given = {k.removeprefix(prefix): v for k, v in ct.config.defaults.items() if k.startswith(prefix)}
     known = {field.name: field.default for field in fields(Levels)}
     for name, value in given.items():

@@ -23,7 +23,7 @@ from .parameters import estimated, weak_priors
 from .problem import Problem
 from .refinement import Refinement
 
-_FLAT = 1e-9  # share of the cost: rounding, where the valley has led far away
+_FLAT = 1e-9  # relative increase of the cost that is rounding
 
 
 def output_weights(
@@ -32,14 +32,16 @@ def output_weights(
     """One over the noise of each output: declared, or from the residual."""
     ny = records[0].outputs.shape[0]
     declared = as_noise(noise, ny)
-    if noise_is_known(records):  # they stand in its units
+    if noise_is_known(records):  # residuals are in units of the noise
         declared = np.ones(ny)
     if declared is not None:
         return 1.0 / declared
+    # before a fit: standard deviation of each output
     spread = np.concatenate([record.outputs for record in records], axis=1).std(axis=1)
     spread = np.where(spread > 0, spread, 1.0)
     if problem is None or point is None:
         return 1.0 / spread
+    # after a fit: rms of the residual, but no less than rounding
     residuals = np.concatenate([r for r, _, _ in problem.own_blocks(point)], axis=1)
     level = np.sqrt(np.mean((residuals / problem.weights[:, None]) ** 2, axis=1))
     return 1.0 / np.maximum(level, 1e-12 * spread)
@@ -48,26 +50,31 @@ def output_weights(
 def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     """The `Refinement` of a finished fit."""
     structure, problem, result = fit.structure, fit.problem, fit.result
-    point = _unmoved(problem, result.point)
+    point = _at_prior(problem, result.point)
     theta, starts = problem.unpack(point)
+    # residual and Jacobian of each record, without the weak priors
     residuals, slopes, columns = zip(*problem.own_blocks(point), strict=True)
     precision = problem.precision
     precision[: problem.n_theta][weak_priors(fit.table)] = 0.0
+    # order of the residual's model; noise of a response is white over frequency
     order = None if problem.in_time else 0
     unsure = parameter_uncertainty(residuals, slopes, precision, order, columns)
     p = structure.n_parameters
     covariance = unsure.covariance[:p, :p]
     spread = standard_deviations(covariance)
     names = [q.label for q in structure.parameters]
+    # offsets with a prior, which a record need not distinguish
     offsets = np.array([row.role == "offset" for row in fit.table], dtype=bool)
     settled = np.isfinite(problem.prior_sd) & offsets
     found = tuple(unseen_combinations(unsure, theta, names, spread, settled))
     for sentence in found:
         warn(sentence, IdentifiabilityWarning)
+    # fit in percent and rms error, in units of the outputs
     fit_percent, rmse = fit_of(problem.records, [r / problem.weights[:, None] for r in residuals])
     message = "Converged."
     if not result.converged:
         message = "Stopped at the largest number of evaluations, perhaps before the minimum."
+    # coefficients that ended on a bound
     at_bound = problem.at_bound(point, problem.evaluate(point).normal()[0])
     if at_bound:
         message += f" At its bound: {', '.join(at_bound)}."
@@ -93,7 +100,7 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     )
 
 
-def _unmoved(problem: Problem, point: Array) -> Array:
+def _at_prior(problem: Problem, point: Array) -> Array:
     """Return a minimum with undetermined directions at their prior means.
 
     A flat valley leads anywhere. The point stays as it is if the cost would increase.
@@ -102,16 +109,19 @@ def _unmoved(problem: Problem, point: Array) -> Array:
     normal, _ = evaluation.normal()
     if not (evaluation.finite and np.isfinite(normal).all()):
         return point
+    # prior mean of the coefficients, zero initial states
     home = problem.pack(problem.prior_mean, np.zeros((len(problem.records), problem.n_states)))
     found = unmoved(normal, point, home)
     if np.array_equal(found, point):
         return point
+    # take it only if the cost does not increase
     found = problem.inside(found)
     flat = problem.cost(found) <= problem.cost(point) * (1.0 + _FLAT)
     return found if flat else point
 
 
 def _fit(measured: Array, error: Array) -> Array:
+    # normalized root mean square error, 100 (1 - |y - yh| / |y - mean y|)
     about_mean = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
     about_mean = np.where(stands_still(measured) | (about_mean == 0), np.nan, about_mean)
     return np.asarray(100.0 * (1.0 - np.linalg.norm(error, axis=1) / about_mean))
@@ -128,6 +138,7 @@ def fit_of(records: Sequence[Any], errors: Sequence[Array]) -> tuple[Array, Arra
         error = np.concatenate(errors, axis=1)
         measured = np.concatenate([r.outputs for r in records], axis=1)
         return _fit(measured, error), np.sqrt(np.mean(error**2, axis=1))
+    # frequency responses: complex points, about their mean over frequency
     left = [record.points(e) for record, e in zip(records, errors, strict=True)]
     points = [record.points(record.outputs) for record in records]
     about = [p - p.mean(axis=2, keepdims=True) for p in points]
@@ -140,6 +151,7 @@ def fit_of(records: Sequence[Any], errors: Sequence[Array]) -> tuple[Array, Arra
 
 def _initial_fit(structure: Structure, records: Sequence[Any]) -> Array:
     """Fit of the initial model, initial state estimated (and nothing else)."""
+    # free run of the initial model on each record
     errors = []
     for record in records:
         engine = engine_on(structure, record)

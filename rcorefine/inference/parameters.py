@@ -14,8 +14,8 @@ from ..models.parameters import natural_size
 from ..results import Row, estimate
 from ..systems.linear import Array
 
-_LOOSE = 30.0  # relative sd of a linear parameter that floats freely
-_CHANGE = 1.0  # relative sd of a change; of changes that fit alike, larger ones are less plausible
+_LOOSE = 30.0  # relative prior standard deviation of a free linear parameter
+_CHANGE = 1.0  # relative prior standard deviation of a change: of equally good ones the smaller is preferred
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,12 +102,14 @@ def parameter_table(
     for parameter in structure.parameters:
         effect, role = structure.effects[parameter.effect], roles[parameter.effect]
         name, nominal = _nominal(structure, effect, role) or (parameter.name, 0.0)
+        # the user's prior comes first
         mean, sd, weak = parameter.mean, parameter.sd, False
+        # linear parameter: declared tolerance, or a wide prior of 30 times its size
         if np.isinf(sd) and role in ("linear", "change"):
             size = nominal_size(structure, effect)
             wide = _CHANGE if role == "change" else tolerance or _LOOSE
             sd = wide * size if size > 0 else np.inf
-            # a loose one only settles what the record cannot: scales that cancel stay near the model's
+            # a wide prior only decides what the record cannot, such as two scales that cancel
             weak = role == "change" or tolerance == 0
         rows.append(
             EstimatedParameter(
@@ -123,9 +125,11 @@ def _nominal(structure: Structure, effect: Effect, role: str) -> tuple[str, floa
 
     None for what was not there.
     """
+    # parameter that the model names
     for q in structure.model.parameters:
         if (q.kind, q.place) == (effect.kind, effect.place):
             return q.name, q.value
+    # mass at a place whose motion is one state; or the gain of a channel
     if effect.spec.inertial and np.count_nonzero(structure.model.port(effect.place).velocity) == 1:
         return f"m[{effect.place}]", structure.inertia(effect.place)
     if effect.spec.relative and role == "linear":
@@ -148,6 +152,7 @@ def priors(table: Sequence[EstimatedParameter]) -> tuple[Array, Array]:
 
     The standard deviation is inf where there is no prior.
     """
+    # priors of the coefficient: value less nominal value
     rows = np.array([(row.expected - row.initial, row.prior) for row in table]).reshape(-1, 2)
     return rows[:, 0], rows[:, 1]
 
@@ -168,6 +173,7 @@ def nominal_size(structure: Structure, effect: Effect) -> float:
     """
     if effect.spec.relative:
         return 1.0
+    # parameter of the model, or the inertia at the place
     for q in structure.model.parameters:
         if (q.kind, q.place) == (effect.kind, effect.place):
             return abs(q.value) or natural_size(structure.model, q)

@@ -43,10 +43,12 @@ class Coordinates:
     def __init__(self, structure: Structure) -> None:
         self.ordered: list[tuple[int, int]] = []
         self.powers: list[tuple[int, int, float]] = []
+        # free pairs: the larger first, or a size with its power
         for index, effect in enumerate(structure.effects):
             for names in effect.spec.order:
                 pair = structure.position(index, names[0]), structure.position(index, names[1])
                 self.ordered += [pair] if min(pair) >= 0 else []
+            # usual motion: its smoothing width over the share that this is of it
             usual = structure.constants.get(index, 0.0) / (effect.spec.width_share or np.inf)
             for names in effect.spec.powers if 0.0 < usual < np.inf else ():
                 pair = structure.position(index, names[0]), structure.position(index, names[1])
@@ -54,6 +56,7 @@ class Coordinates:
 
     def of(self, point: Array) -> Array:
         """The coordinates of a point."""
+        # size * usual^power in place of the size, larger - smaller in place of the larger
         box = point.copy()
         for size, power, usual in self.powers:
             box[size] *= np.exp(usual * point[power])
@@ -63,6 +66,7 @@ class Coordinates:
 
     def point(self, box: Array) -> Array:
         """The point of these coordinates."""
+        # inverse, in opposite order
         point = box.copy()
         for larger, smaller in self.ordered:
             point[larger] += box[smaller]
@@ -77,6 +81,7 @@ class Coordinates:
         """
         if not self.ordered and not self.powers:
             return jacobian
+        # chain rule: the power acts on the size at the usual motion, the smaller on the larger
         turned = jacobian.copy()
         for size, power, usual in self.powers:
             turned[:, power] -= usual * point[size] * jacobian[:, size]
@@ -87,8 +92,8 @@ class Coordinates:
 
 
 _LARGEST = 1e60
-_ROUNDING = 1e-22  # of the level, below which a cost is rounding
-_FAILED = 1e8  # residual level of a simulation that blew up: worse than anything, yet finite
+_ROUNDING = 1e-22  # share of the level below which a cost is rounding
+_FAILED = 1e8  # residual of a simulation that diverged: large, but finite
 
 
 class Problem:
@@ -139,12 +144,13 @@ class Problem:
         self.coordinates = Coordinates(structure)
         self.records: list[Any] = list(records)
         self.in_time = not in_frequency(self.records)
-        if not self.in_time:  # a response has no start
+        if not self.in_time:  # a frequency response has no initial state
             initial = np.zeros(structure.n_states)
         p = structure.n_parameters
         self.prior_mean: Array = np.zeros(p) if prior_mean is None else prior_mean
         self.prior_sd: Array = np.full(p, np.inf) if prior_sd is None else prior_sd
         self.initial, self.substeps = initial, substeps
+        # one simulation engine for each record
         self.engines: list[Any] = [
             engine_on(structure, r, substeps=substeps, initial=initial) for r in records
         ]
@@ -170,6 +176,7 @@ class Problem:
 
         No innovation is smaller than the resolution of an output: an exact record has no other noise.
         """
+        # floor of the innovations: resolution of the outputs, in units of the noise
         outputs = np.concatenate([record.outputs for record in self.records], axis=1)
         resolved = RESOLUTION * self.in_time * self.weights * outputs.std(axis=1)
         return Whitener.fit(residuals, most=self.color, floor=resolved)
@@ -197,6 +204,7 @@ class Problem:
     def precision(self) -> Array:
         """One over the prior variance of each unknown, 0 for none."""
         found = np.zeros(self.size)
+        # inverse variance of the Gaussian priors
         held = np.isfinite(self.prior_sd) & (self.prior_sd > 0)
         found[: self.n_theta][held] = self.prior_sd[held] ** -2.0
         return found
@@ -204,6 +212,7 @@ class Problem:
     @cached_property
     def sizes(self) -> Array:
         """Return the natural sizes of the unknowns."""
+        # sizes of the states from a run at the prior mean
         rest = np.zeros(self.size - self.n_theta)
         theta = self.inside(np.concatenate([self.prior_mean, rest]))[: self.n_theta]
         states = [one.state_sizes(theta) for one in self.engines if self.free_start]
@@ -235,26 +244,30 @@ class Problem:
 
         With a gain (n, n_y) an observer corrects the state, and the residual holds its innovations.
         """
-        if self._cache is not None and _same((point, gain), self._cache[:2]):
+        if self._cache is not None and _equal((point, gain), self._cache[:2]):
             return self._cache[2]
         theta, starts = self.unpack(point)
         rows, blocks, places, finite = [], [], [], True
         judged = self.judged(theta)
+        # simulation of each record with its sensitivities
         for i, engine in enumerate(self.engines):
             run = engine.run(theta, starts[i], initial_state=self.free_start, gain=gain, check=False)
-            ok = run.blew_up < 0 and _bounded(run.outputs) and _bounded(run.sensitivity)
+            ok = run.blew_up < 0 and _is_bounded(run.outputs) and _is_bounded(run.sensitivity)
             finite &= ok
             width = run.sensitivity.shape[2]
+            # residual = weight (model - record), and its Jacobian
             if ok:
                 weights = self.weights[:, None] * judged[i]
                 error = (weights * (run.outputs - engine.data.outputs)).ravel()
                 block = (weights[:, :, None] * run.sensitivity).reshape(error.size, width)
+            # diverged: a large finite residual without derivatives
             else:
                 error = np.full(engine.data.outputs.size, _FAILED)
                 block = np.zeros((error.size, width))
             rows.append(error)
             blocks.append(block)
             places.append(self.felt_by(i))
+        # priors as further rows: (unknown - mean) / standard deviation
         expected, prior = self.prior_rows(point)
         result = Evaluation(np.concatenate([*rows, expected]), blocks, places, prior, finite)
         self._cache = (point.copy(), gain, result)
@@ -274,8 +287,10 @@ class Problem:
 
         First come the coefficients that have a prior, then the initial states of brief modes.
         """
+        # Gaussian priors of the coefficients
         held = np.flatnonzero(np.isfinite(self.prior_sd))
         starts = []
+        # priors of the initial states, for brief modes and for the states of effects
         if self.free_start:
             none = np.zeros((0, self.n_states))
             starts = [brief_modes(engine) if self.hold_brief else none for engine in self.engines]
@@ -283,6 +298,7 @@ class Problem:
                 theta = self.inside(np.pad(self.structure.start(), (0, self.size - self.n_theta)))
                 added = [added_states(engine, theta[: self.n_theta]) for engine in self.engines]
                 starts = [np.vstack(pair) for pair in zip(starts, added, strict=True)]
+        # one row for each prior
         return np.asarray(block_diag(np.eye(self.n_theta)[held] / self.prior_sd[held, None], *starts))
 
     @cached_property
@@ -303,6 +319,7 @@ class Problem:
         """
         found = []
         for engine in self.engines:
+            # samples that the model cannot determine, behind a delay, have no weight
             seen = engine.judged(theta)
             found.append(seen / (1.0 if seen.all() else np.sqrt(seen.mean(axis=1, keepdims=True))))
         return found
@@ -320,8 +337,10 @@ class Problem:
     def bounds(self) -> tuple[Array, Array]:
         """Bounds of the coordinates of a point; initial states are free."""
         lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        # bounds of the coefficients
         for i, parameter in enumerate(self.structure.parameters):
             lower[i], upper[i] = parameter.lower, parameter.upper
+        # the excess of an ordered pair is not negative
         for larger, _ in self.coordinates.ordered:
             lower[larger] = 0.0
         return lower, upper
@@ -329,6 +348,7 @@ class Problem:
     def box(self) -> tuple[Array, Array]:
         """The bounds, moved inward by a margin."""
         lower, upper = self.bounds()
+        # margin that keeps a point off its bounds: tiny against size, bound and width
         own = np.pad(self._theta_sizes, (0, self.size - self.n_theta))
         margin = 1e-10 * np.maximum(own, np.minimum(np.abs(lower), 1e300))
         width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
@@ -340,6 +360,7 @@ class Problem:
     def inside(self, point: Array) -> Array:
         """The point moved strictly inside its bounds."""
         low, high = self.box()
+        # clip in coordinates, where every constraint is a bound
         return self.coordinates.point(np.clip(self.coordinates.of(point), low, high))
 
     def at_bound(self, point: Array, normal: Array) -> list[str]:
@@ -348,11 +369,13 @@ class Problem:
         A coefficient lies there if the way to the bound changes the residual by less than a thousandth of
         the noise. With a bound other than zero it must also be a thousandth of the bound at most.
         """
+        # information matrix in coordinates; its diagonal is the squared effect on the residual
         turned = self.coordinates.columns(self.coordinates.columns(normal, point).T, point)
         felt = np.sqrt(np.maximum(np.diag(turned), 0.0))
         box, found = self.coordinates.of(point), []
         for bound, inner in zip(self.bounds(), self.box(), strict=True):
             for i, parameter in enumerate(self.structure.parameters):
+                # distance that changes the residual by a thousandth of the noise
                 size, near = abs(bound[i]), 1e-3 / max(felt[i], 1e-300)
                 near = np.clip(near, 1e-6 * size, 1e-3 * size) if size else near * (felt[i] > 0)
                 if np.isfinite(bound[i]) and abs(box[i] - bound[i]) <= max(
@@ -373,6 +396,7 @@ class Problem:
         """
         found = []
         for i, own in enumerate(jacobians):
+            # columns of other records' initial states stay zero
             found.append(np.zeros((*own.shape[:2], self.size)))
             found[-1][:, :, self.felt_by(i)] = own
         return found
@@ -389,6 +413,7 @@ class Problem:
     def split(self, evaluation: Evaluation) -> list[tuple[Array, Array, NDArray[np.intp]]]:
         """An evaluation as `own_blocks`."""
         found = []
+        # rows of each record, in its shape (n_y, N)
         for record, (rows, block), columns in zip(
             self.records, evaluation.by_record, evaluation.columns, strict=True
         ):
@@ -401,6 +426,7 @@ class Problem:
 
         These are the coefficients, then the initial state of the record.
         """
+        # columns: coefficients, then the states of this record
         own = np.arange(self.n_states if self.free_start else 0) + self.n_theta + record * self.n_states
         return np.concatenate([np.arange(self.n_theta), own])
 
@@ -412,11 +438,12 @@ class Problem:
         Otherwise the initial state of a body too light to affect the residual could drift ever further.
         """
         sizes = self.sizes.copy()
+        # only coefficients grow with their value
         sizes[: self.n_theta] = np.maximum(sizes[: self.n_theta], np.abs(point[: self.n_theta]))
         return sizes
 
 
-def _same(one: Sequence[Array | None], other: Sequence[Array | None]) -> bool:
+def _equal(one: Sequence[Array | None], other: Sequence[Array | None]) -> bool:
     """Return whether arrays are equal, pair by pair; None equals None only."""
     return all(
         a is b or (a is not None and b is not None and np.array_equal(a, b))
@@ -424,7 +451,7 @@ def _same(one: Sequence[Array | None], other: Sequence[Array | None]) -> bool:
     )
 
 
-def _bounded(values: Array) -> bool:
+def _is_bounded(values: Array) -> bool:
     """Return whether the squares of all values are finite.
 
     A NaN is not finite.
@@ -451,6 +478,7 @@ def natural_sizes(structure: Structure, records: Sequence[Measurement]) -> Array
         limit of it, else 1 (seconds, ratios, states).
     """
     model = structure.model
+    # rms level of each input and output over all records
     levels = {
         label: float(np.sqrt(np.mean(np.concatenate([r[i] for r in rows]) ** 2))) or 1.0
         for labels, rows in (
@@ -459,14 +487,17 @@ def natural_sizes(structure: Structure, records: Sequence[Measurement]) -> Array
         )
         for i, label in enumerate(labels)
     }
+    # acceleration (rate) that a unit of force gives at each place
     pushes = {port.name: float(np.abs(port.act).max(initial=0.0)) for port in model.ports}
     sizes = np.ones(structure.n_parameters)
     for i, parameter in enumerate(structure.parameters):
         effect = structure.effects[parameter.effect]
         units = {coefficient.name: coefficient.unit_rule for coefficient in effect.spec.coefficients}
         unit = units.get(parameter.name, "")
+        # offsets and limits: level of the signal
         if unit == "signal":
             sizes[i] = levels.get(effect.place, 1.0)
+        # strength of a force: the one that gives a unit rate
         elif unit.startswith("force") and pushes.get(effect.place):
             sizes[i] = 1.0 / pushes[effect.place]
     return sizes
@@ -518,6 +549,7 @@ class Evaluation:
         kept : ndarray of int, optional
             Coefficients that move; by default all.
         """
+        # priors: those of the coefficients go with the first record, those of its states with each record
         tail = self.residual[sum(len(block) for block in self.blocks) :]
         common = ~self.prior[:, count:].any(axis=1)
         blocks, residuals = [], []
@@ -525,13 +557,16 @@ class Evaluation:
             held = self.prior[:, columns[count:]].any(axis=1)
             held = held | common if k == 0 else held
             residual = self.residual[rows]
+            # whiten the record; the priors have unit variance
             if whitener is not None:
                 shape = (len(whitener.filters), -1)
                 residual = whitener.apply([residual.reshape(shape)])
                 block = whitener.apply([block.reshape(*shape, block.shape[1])])
+            # derivatives by the coordinates, then only the columns that move
             J = turn(np.concatenate([block, self.prior[np.ix_(held, columns)]]))
             blocks.append(np.hstack([J[:, :count][:, kept], J[:, count:]]))
             residuals.append(np.concatenate([residual, tail[held]]))
+        # normal equations with a block for each record, bordered by the common coefficients
         return Bordered.of(blocks, residuals, blocks[0].shape[1] - self.columns[0].size + count)
 
     @cached_property
@@ -550,6 +585,7 @@ class Evaluation:
         """
         tail = self.prior if residual is None else self.prior[:0]
         r = self.residual if residual is None else residual
+        # J'J and J'r: priors, then one record after the other
         normal, slope = tail.T @ tail, tail.T @ r[len(r) - len(tail) :]
         for (rows, block), columns in zip(self.by_record, self.columns, strict=True):
             normal[np.ix_(columns, columns)] += block.T @ block
@@ -587,7 +623,7 @@ class Descent:
 
     def known(self, problem: Problem, gain: Array | None) -> Evaluation | None:
         """Its evaluation, if it is one of this problem led by this gain."""
-        return self.evaluation if self.problem is problem and _same((gain,), (self.gain,)) else None
+        return self.evaluation if self.problem is problem and _equal((gain,), (self.gain,)) else None
 
     def blocks(self, problem: Problem) -> list[tuple[Array, Array]]:
         """Return the residual and the Jacobian of each record.
@@ -641,18 +677,20 @@ def descend(
     -------
     Descent
     """
+    # end of the descent: relative decrease, or a negligible change of the log-likelihood
     tolerance = max(tolerance, 2.0 * unnoticed / problem.n_points)
     low, high = problem.box()
     begin = problem.coordinates.of(point)
-    if free is not None:  # bounds meet where an unknown is held
+    if free is not None:  # held unknowns have equal bounds
         low, high = (np.where(free, bound, np.clip(begin, low, high)) for bound in (low, high))
 
-    def rows(box: Array) -> Rows:  # where every constraint is a bound
+    def rows(box: Array) -> Rows:  # coordinates in which every constraint is a bound
         here = problem.coordinates.point(box)
         if known is not None and np.array_equal(here, point):
             return _rows(problem, known, here, whitener)
         return _rows(problem, problem.evaluate(here, gain), here, whitener)
 
+    # damped Gauss-Newton (Levenberg-Marquardt) within bounds
     run = gauss_newton(
         rows,
         begin,
@@ -662,6 +700,7 @@ def descend(
         evaluations=evaluations,
         settled=lambda cost, gain: gain <= tolerance * cost or cost <= _ROUNDING * problem.level,
     )
+    # predicted decrease of a further step
     sizes = problem.sizes_at(run.point)
     lack = promised(run.rows, run.point, low, high, sizes) if np.isfinite(run.cost) else np.inf
     place = problem.coordinates.point(run.point)
@@ -674,15 +713,19 @@ def _rows(problem: Problem, evaluation: Evaluation, point: Array, whitener: Whit
     The rows of the priors are not filtered.
     """
     if not evaluation.finite:
+        # diverged: infinite cost, the step is rejected
         return Rows(np.full(1, np.inf), evaluation.prior, evaluation)
+    # whiten the rows of the records, not those of the priors
     parts = problem.split(evaluation)
     residuals = [r if whitener is None else whitener.apply([r]) for r, _, _ in parts]
     residual = np.concatenate([*(r.ravel() for r in residuals), evaluation.residual[problem.n_points :]])
     turn = problem.coordinates.columns
+    # one record: its Jacobian as it is
     if len(parts) == 1:
         J = evaluation.jacobian
         if whitener is not None:
             J = np.concatenate([whitener.apply([parts[0][1]]), evaluation.prior])
         return Rows(residual, turn(J, point), evaluation)
+    # several records: normal equations, initial states eliminated
     normal = evaluation.bordered(problem.n_theta, whitener, lambda J: turn(J, point))
     return Rows(residual, normal, evaluation)

@@ -71,19 +71,24 @@ class Refinement(ReportedModel, CodeExports):
         Whether it was fitted to frequency responses: fit and rmse are those of complex points.
     """
 
+    # model with its effects
     physical_model: PhysicalModel
     effects: tuple[Effect, ...]
     roles: tuple[str, ...]
     constants: dict[int, float]
+    # estimates
     theta: Array
     parameters: tuple[EstimatedParameter, ...]
     covariance: Array
     fit: Array
+    # quality on the records
     rmse: Array
     initial_fit: Array
     initial_states: Array
+    # simulation
     substeps: int
     residual_orders: tuple[int, ...]
+    # outcome of the fit
     success: bool
     message: str
     warnings: tuple[str, ...] = ()
@@ -103,6 +108,7 @@ class Refinement(ReportedModel, CodeExports):
         substeps : int
             Substeps per sample.
         """
+        # initial model in feedback with the effects
         structure = Structure(self.physical_model, self.effects, constants=self.constants)
         return structure, self.theta, self.substeps
 
@@ -141,6 +147,7 @@ class Refinement(ReportedModel, CodeExports):
         """
         system = self.nonlinear
         x, u = as_vector(states, "states", system.nstates), as_vector(inputs, "inputs", system.ninputs)
+        # numerical linearization by python-control
         linear = ct.linearize(system, x, u)
         linear.update_names(
             name=f"{self.physical_model.name}_linearized",
@@ -192,6 +199,7 @@ class Refinement(ReportedModel, CodeExports):
         TimeResponseData
             Outputs and states of the refined model, labels kept.
         """
+        # outputs of the record serve only to estimate the initial state
         run = simulate(self, data, x0)
         structure, _, _ = self.simulation_structure()
         linear = self.physical_model.linear
@@ -231,6 +239,7 @@ class Refinement(ReportedModel, CodeExports):
         as_text(name, "name")
         if place is not None:
             as_text(place, "place")
+        # rows with this name or kind, at the place if given
         rows = [
             row
             for row in self.parameters
@@ -343,11 +352,13 @@ class Refinement(ReportedModel, CodeExports):
         """
         count, rng = as_whole(count, "count", least=0), np.random.default_rng(as_whole(seed, "seed", least=0))
         structure, theta, _ = self.simulation_structure()
+        # coefficients without a finite variance keep their estimates
         known = np.isfinite(np.diag(self.covariance))
         lower, upper = np.array([(q.lower, q.upper) for q in structure.parameters]).reshape(-1, 2).T
         points = np.tile(theta, (count, 1))
         if known.any():
             C = self.covariance[np.ix_(known, known)]
+            # normal distribution of the estimates, clipped to the bounds
             points[:, known] += rng.multivariate_normal(np.zeros(len(C)), C, size=count, check_valid="ignore")
         return [structure.system(point) for point in np.clip(points, lower, upper)]
 
@@ -363,6 +374,7 @@ class Refinement(ReportedModel, CodeExports):
         -------
         list of str
         """
+        # answer, meaning of std, message of the fit
         lines = [
             f"The {self._what} explains {_percent(self.fit, self.fit)} of the "
             f"{'measured one' if self.of_responses else 'record'} "
@@ -379,7 +391,7 @@ class Refinement(ReportedModel, CodeExports):
             lines.insert(2, "prior is the standard deviation of what is known about a value beforehand.")
         if self.hold is not None:
             lines.append(f"All inputs use hold={self.hold!r}, whatever a record declares.")
-        # what an estimate means nothing for stands in its message
+        # reasons not to trust the estimate are in its message already
         return lines + [f"Warning: {said}." for said in self.warnings if said not in self.message]
 
 

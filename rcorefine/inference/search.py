@@ -23,8 +23,8 @@ from .covariance import parameter_uncertainty, pseudo_inverse
 from .problem import Problem, descend
 from .starts import far_starts
 
-_FLOOR = 0.1  # relative error that no point falls below here: all count, whatever their noise
-_POINTS, _FEW_POINTS = 400, 60  # of each response, linear or not
+_FLOOR = 0.1  # least relative error of a point, so that all points count
+_POINTS, _FEW_POINTS = 400, 60  # points of each response, for linear and for nonlinear effects
 _EVALUATIONS, _FEW_EVALUATIONS = 25, 6
 
 
@@ -46,10 +46,12 @@ def by_logarithms(problem: Problem, point: Array) -> Array:
     if not problem.size:
         return point
     nonlinear = not is_linear(problem.structure)
+    # fewer points where each needs a harmonic balance
     most = _FEW_POINTS if nonlinear else _POINTS
-    engines = [_thinned(engine, most) for engine in problem.engines]
+    engines = [_thin(engine, most) for engine in problem.engines]
     measured = [engine.data.measured.response for engine in engines]
     weights = []
+    # weight: one over the relative noise, with a floor so that all points count
     for engine, g in zip(engines, measured, strict=True):
         noise = np.abs(engine.data.points(np.ones(engine.data.noise.shape))) / np.sqrt(2.0)
         weights.append(1.0 / np.hypot(noise / np.maximum(np.abs(g), 1e-300), _FLOOR))
@@ -57,8 +59,9 @@ def by_logarithms(problem: Problem, point: Array) -> Array:
     loudest = np.argsort([float(engine.data.inputs.max()) for engine in engines], kind="stable")
     chosen = engines
 
+    # residual log(model / measured): gain and phase errors as ratios, then the priors
     def rows(box: Array) -> Rows:
-        theta = problem.coordinates.point(box)  # a response has no start
+        theta = problem.coordinates.point(box)  # a frequency response has no initial state
         residuals, slopes = ([part] for part in problem.prior_rows(theta))
         for engine, g, weight in zip(engines, measured, weights, strict=True):
             if engine not in chosen:
@@ -76,7 +79,7 @@ def by_logarithms(problem: Problem, point: Array) -> Array:
         problem.coordinates.of(problem.inside(point)),
         _FEW_EVALUATIONS if nonlinear else _EVALUATIONS,
     )
-    # nonlinear: the quietest response first, for its peak has moved least
+    # nonlinear: the response of the smallest amplitude first, whose peak has moved least
     for k in range(1, len(engines) + 1) if nonlinear else (len(engines),):
         chosen = [engines[i] for i in loudest[:k]]
         start = gauss_newton(
@@ -85,7 +88,7 @@ def by_logarithms(problem: Problem, point: Array) -> Array:
     return problem.coordinates.point(start)
 
 
-def _thinned(engine: ResponseEngine, most: int) -> ResponseEngine:
+def _thin(engine: ResponseEngine, most: int) -> ResponseEngine:
     count = engine.data.omega.size
     if count <= most:
         return engine
@@ -97,14 +100,14 @@ def _parts(values: np.ndarray) -> Array:
     return np.concatenate([values.real.ravel(), values.imag.ravel()])
 
 
-_ROUGHLY = 1e-6  # of the cost
+_ROUGHLY = 1e-6  # relative decrease of the cost that ends an optimization
 _RATIOS = (1.0, 0.1, 0.01)  # observer gains of the first pass, high to low
-_START_SAMPLES = 4000  # the first pass needs no more
-_POLISHED = 3  # starts that are polished
-_FAIR, _POOR = 1e-3, 0.02  # cost over that of no model: above, other starts are tried
-_FIRST_WINDOWS = 32  # free runs that the record is cut into where it is hard
-_SHORTEST_WINDOW = 60  # samples
-_STEP_SHARE = 0.5  # of a standard deviation that halving the substep may shift a coefficient
+_START_SAMPLES = 4000  # samples for the first pass
+_POLISHED = 3  # starting points that are optimized
+_FAIR, _POOR = 1e-3, 0.02  # cost over that of no model, above which other starting points are tried
+_FIRST_WINDOWS = 32  # free runs into which a difficult record is cut
+_SHORTEST_WINDOW = 60  # samples of the shortest window
+_STEP_SHARE = 0.5  # change of a coefficient by halved substeps, in standard deviations
 _MOST_SUBSTEPS = 256
 
 ProblemOf = Callable[..., Problem]
@@ -140,13 +143,16 @@ def search(
     steps : int
         Substeps that it takes.
     """
-    short = _shortened(windows)
+    # short problem: a part of the record, on which all starting values are tried
+    short = _shorten(windows)
     trial = problem(short, steps)
     outcomes: list[tuple[float, Array]] = []
+    # first pass: observer fits from every starting value
     for candidate in starts:
         outcomes += _first_pass(trial, structure, short, candidate)
     outcomes.sort(key=lambda pair: pair[0])
     level = trial.level
+    # optimize the best of them on the free run
     polished = _polish_each(trial, outcomes, steps)
     seen: list[float] = []
 
@@ -158,8 +164,10 @@ def search(
             if found is not None:
                 polished.append(found)
 
+    # nonlinear and not yet a good fit: simulations of growing length
     if not structure.is_linear and trial.in_time:
         grow(_FAIR)
+    # poor fit: starting values over decades
     if min(entry[0] for entry in polished) > _POOR * level:
         far: list[tuple[float, Array]] = []
         for candidate in far_starts(trial, structure, outcomes[0][1][: structure.n_parameters]):
@@ -170,6 +178,7 @@ def search(
         outcomes = sorted(outcomes + far, key=lambda pair: pair[0])
         if trial.in_time:
             grow(_POOR)
+    # best of all, with initial states on the whole record
     _, best, steps = min(polished, key=lambda entry: entry[0])
     whole = problem(windows, steps)
     theta = best[: structure.n_parameters]
@@ -214,8 +223,10 @@ def _grow(
     count = 2 ** int(np.log2(np.clip(n / _SHORTEST_WINDOW, 1, _FIRST_WINDOWS)))
     starts: Array | None = None
     while True:
+        # cut the windows into pieces, each with an initial state of its own
         pieces = [piece for record in windows for piece in _cut(record, count)]
         part = problem(pieces, steps, True)
+        # shortest pieces: initial states from an observer
         if starts is None:
             states = _observed_states(part, windows, theta, count)
             result = descend(part, part.pack(theta, states), evaluations=15, tolerance=_ROUGHLY)
@@ -223,8 +234,10 @@ def _grow(
             seen.append(result.cost)
             if known or result.cost > poor:
                 return None
+        # longer pieces start from the states of the shorter ones
         else:
             result = descend(part, part.pack(theta, starts), evaluations=15, tolerance=_ROUGHLY)
+        # are the substeps still sufficient?
         finer = sufficient_steps(problem, pieces, part, result.point)
         if finer != steps:
             steps = finer
@@ -233,7 +246,9 @@ def _grow(
         theta, starts = part.unpack(result.point)
         if count == 1:
             break
+        # pairs of pieces join: every second initial state remains
         starts, count = starts[::2], count // 2
+    # last, the windows as they are
     trial = problem(windows, steps)
     point = result.point if trial.free_start else trial.pack(theta, starts)
     result = descend(trial, point, evaluations=25, tolerance=_ROUGHLY)
@@ -244,6 +259,7 @@ def _observed_states(part: Problem, windows: list[Measurement], theta: Array, co
     """Initial states of the pieces as an observer along the record sees them."""
     found = []
     for record in windows:
+        # observer of high gain along the record
         gain = observer_gain(part.structure, theta, record, _RATIOS[0])
         engine = Engine(part.structure, record, substeps=part.substeps)
         run = engine.run(theta, sensitivity=False, gain=gain, histories=True, check=False)
@@ -286,15 +302,17 @@ def sufficient_steps(
     steps = coarse.substeps
     if coarse.structure.is_linear or not coarse.in_time or steps >= _MOST_SUBSTEPS:
         return steps
+    # relative shift of the result by halving the substep
     shift = step_matters(coarse, problem(segments, 2 * steps, coarse.free_start), point)
     if shift < _STEP_SHARE:
         return steps
+    # the error of the integration falls with step^order
     order = 2 * coarse.structure.stages
     factor = 2 ** int(np.ceil(np.log2(shift / _STEP_SHARE) / order)) if np.isfinite(shift) else 2
     return steps * min(max(factor, 2), 8)
 
 
-def _shortened(windows: Sequence[Measurement]) -> list[Measurement]:
+def _shorten(windows: Sequence[Measurement]) -> list[Measurement]:
     if in_frequency(windows):
         return list(windows)
     kept: list[Measurement] = []
@@ -314,10 +332,12 @@ def _first_pass(
     outcomes = []
     point = problem.inside(problem.pack(theta, starting_states(problem, theta)))
     outcomes.append((problem.cost(point), point))
+    # frequency response: logarithms of the points first
     if not problem.in_time:
-        led = problem.inside(by_logarithms(problem, point))
-        return [(cost, p) for cost, p in [*outcomes, (problem.cost(led), led)] if np.isfinite(cost)]
+        near = problem.inside(by_logarithms(problem, point))
+        return [(cost, p) for cost, p in [*outcomes, (problem.cost(near), near)] if np.isfinite(cost)]
     current = point
+    # observers from high to low gain; each result is judged by its free run
     for ratio in _RATIOS:
         gain = observer_gain(structure, current[: structure.n_parameters], windows[0], ratio)
         if not np.isfinite(gain).all():
@@ -337,6 +357,7 @@ def starting_states(problem: Problem, theta: Array) -> Array:
     if not problem.free_start:
         return np.zeros((len(problem.records), problem.n_states))
     low, high = problem.bounds()
+    # coefficients within their bounds
     theta = np.clip(theta, low[: theta.size], high[: theta.size])
     return np.array([estimate_initial_state(engine, theta, problem.weights) for engine in problem.engines])
 
@@ -352,7 +373,8 @@ def step_matters(coarse: Problem, fine: Problem, point: Array) -> float:
     if not (evaluation.finite and finer.finite):
         return (
             np.inf if evaluation.finite or finer.finite else 0.0
-        )  # what runs away at both is no fault of it
+        )  # if both diverge, the substeps are not the reason
+    # change of the residual by the finer integration, as a Gauss-Newton step
     n = coarse.n_points
     difference = finer.residual[:n] - evaluation.residual[:n]
     normal, slope = evaluation.normal(difference)
@@ -360,6 +382,7 @@ def step_matters(coarse: Problem, fine: Problem, point: Array) -> float:
     scale[scale == 0] = 1.0
     inverse, _, _ = pseudo_inverse(normal / np.outer(scale, scale))
     shift = inverse @ (slope / scale)
+    # standard deviations of the coefficients, for comparison
     residuals, slopes, columns = zip(*coarse.own_blocks(point), strict=True)
     unsure = parameter_uncertainty(residuals, slopes, np.zeros(coarse.size), columns=columns)
     spread = np.sqrt(np.maximum(np.diag(unsure.covariance), 1e-300)) * scale

@@ -21,7 +21,7 @@ from .fitted import FittedModel
 from .problem import Problem
 from .starts import Motion, law_widths, shape_starts
 
-_DIVERGED = 1e100  # of the noise: its squares would be no numbers
+_DIVERGED = 1e100  # columns above this, in units of the noise, would overflow when squared
 
 
 @dataclass(eq=False)
@@ -39,6 +39,7 @@ class Candidate:
 
     def _make(self) -> tuple[Problem, list[Array]]:
         if self._made is None:
+            # problem with the effect absent, one starting point for each shape
             problem, point = self.fitted.extended([self.effect], self.motion)
             theta = problem.unpack(point)[0]
             p = self.fitted.structure.n_parameters
@@ -88,9 +89,10 @@ def candidate_columns(
     found = [Candidate(effect, {}, fitted, motion) for effect in effects]
     riders: list[int] = []
     laws: list[tuple[int, list[dict[str, float]]]] = []
+    # three kinds: a simulation of its own, parameters in one simulation, force laws along the motion
     for i, candidate in enumerate(found):
         law = candidate.effect.spec
-        # along the motion of a nonlinear model nothing short of its own derivatives is right
+        # effects on nonlinear models and at channels need a simulation of their own
         if (
             not fitted.problem.in_time
             or law.secant
@@ -100,19 +102,21 @@ def candidate_columns(
         ):
             for ratio in ratios:
                 candidate.columns[ratio] = _own_columns(candidate, ratio)
-        elif law.is_parameter:  # they ride along in one simulation
+        elif law.is_parameter:  # parameters share one simulation
             riders.append(i)
         else:
             laws.append((i, _shapes(candidate)))
+    # one simulation carries the derivatives by all parameters
     if riders:
         for ratio in ratios:
             blocks = parameter_columns(fitted, [found[i].effect for i in riders], motion, ratio)
             for j, i in enumerate(riders):
                 found[i].columns[ratio] = [block[:, :, j : j + 1] for block in blocks]
+    # forces of all laws go through the linearized model together
     for ratio in ratios:
         _law_columns(fitted, found, laws, ratio)
     for candidate in found:
-        for ratio, blocks in candidate.columns.items():  # zero where one diverges: it says nothing
+        for ratio, blocks in candidate.columns.items():  # diverging columns become zero
             largest = np.max([np.abs(block).max(axis=(0, 1)) for block in blocks], axis=0)
             candidate.columns[ratio] = [np.where(largest < _DIVERGED, block, 0.0) for block in blocks]
     return found
@@ -132,6 +136,7 @@ def _law_columns(
         owners: list[int] = []
         for i, shapes in laws:
             effect = found[i].effect
+            # force of a unit coefficient in each shape, along the motion
             d, v = fitted.port(effect.place, ratio, record)
             w, rest = fitted.problem.records[record].inputs, resting(fitted.structure, effect.place)
             columns = unit_forces(effect, d, v, shapes, w, rest)
@@ -142,6 +147,7 @@ def _law_columns(
             owners += [i] * len(columns)
         if not forces:
             continue
+        # outputs that these forces add, (n_y, N, k)
         out = force_responses(fitted, record, forces, gain)
         for i in dict.fromkeys(owners):
             parts[i].append(out[:, :, np.array(owners) == i])
@@ -155,6 +161,7 @@ def _shapes(candidate: Candidate) -> list[dict[str, float]]:
     effect = candidate.effect
     structure = Structure(candidate.fitted.structure.model, [effect])
     sets: list[dict[str, float]] = []
+    # effect alone on the model: its shapes do not depend on the other effects
     for theta in shape_starts(structure, structure.start(), candidate.motion):
         shape = {
             q.name: float(theta[i])
@@ -171,6 +178,7 @@ def parameter_columns(
 ) -> list[Array]:
     """Columns (n_y, N, k) per record of changes of the model's own parameters."""
     structure, theta, engines = _carrier(fitted, effects, motion)
+    # columns after those of the fitted coefficients
     p = fitted.structure.n_parameters
     return [b[:, :, p:] for b in _sensitivities(fitted, structure, theta, engines, fitted.gain(ratio))]
 
@@ -179,6 +187,7 @@ def _carrier(
     fitted: FittedModel, effects: Sequence[Effect], motion: Motion
 ) -> tuple[Structure, Array, list[Engine | ResponseEngine]]:
     old = fitted.refinement
+    # model with all effects; the added ones are absent
     base = Structure(old.physical_model, [*old.effects, *effects])
     widths = law_widths(base, motion)
     widths.update(old.constants)
@@ -198,6 +207,7 @@ def _sensitivities(
     starts = fitted.problem.unpack(fitted.point)[1]
     blocks = []
     for engine, start in zip(engines, starts, strict=True):
+        # states of the added effects start at zero, and no observer corrects them
         x0 = np.pad(start, (0, structure.n_states - start.size))
         K = None if gain is None else np.pad(gain, ((0, structure.n_states - gain.shape[0]), (0, 0)))
         run = engine.run(theta, x0, gain=K, check=False)
@@ -211,16 +221,18 @@ def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
     gain = fitted.gain(ratio)
     K = None if gain is None else np.pad(gain, ((0, problem.n_states - gain.shape[0]), (0, 0)))
     wide: list[list[Array]] = [[] for _ in problem.records]
+    # one block of columns for each starting point
     for start in candidate.starts:
         theta, states = problem.unpack(start)
         if not problem.in_time and not secant:
             for engine, base in zip(problem.engines, fitted.problem.engines, strict=True):
-                engine.begin(base)  # the law is absent: so it answers as the model does
+                engine.begin(base)  # the effect is absent: start from the solution of the model
         judged = fitted.problem.judged(fitted.theta) if secant else problem.judged(theta)
         for i, engine in enumerate(problem.engines):
-            # a secant is a difference: no derivatives, which take most of the time
+            # a secant is a difference and needs no derivatives
             run = engine.run(theta, states[i], sensitivity=not secant, gain=K, check=False)
             weights = problem.weights[:, None] * judged[i]
+            # secant: residual with the effect less that without
             if secant:
                 change = weights * (run.outputs - engine.data.outputs) - fitted.blocks(ratio)[i][0]
                 column = change[:, :, None]
@@ -240,6 +252,7 @@ def generic_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple
     for port in fitted.structure.model.ports:
         d, v = fitted.port(port.name, ratio, record)
         rms_d, rms_v = (float(np.sqrt(np.mean(s**2))) or 1.0 for s in (d, v))
+        # in units of the rms motion
         d, v = d / rms_d, v / rms_v
         laws = [v, np.sign(v), v * np.abs(v), v**3, np.abs(v)]
         if port.position.any() or port.position_input.any():
@@ -250,6 +263,7 @@ def generic_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple
 
 def slow_forces(fitted: FittedModel, ratio: float, record: int) -> list[tuple[str, Array]]:
     """Forces of stiffness and damping that change over the record."""
+    # slow functions of time: linear, quadratic, one period of sine and cosine
     t = np.linspace(-1.0, 1.0, fitted.problem.records[record].n_samples)
     shapes = [t, t * t, np.sin(2 * np.pi * t), np.cos(2 * np.pi * t)]
     forces = []
@@ -269,11 +283,13 @@ def force_responses(
     Inputs may be named instead of places; the added signals then have the hold of the inputs.
     """
     structure = fitted.structure
+    # linearized along the motion
     A, C0 = fitted.linearized()
     linear, data = structure.linear_model, fitted.problem.records[record]
     n, n0 = structure.n_states, linear.n_states
     names = list(dict.fromkeys(name for name, _ in forces))
     places = {port.name for port in structure.model.ports}
+    # a force at a place, or a signal added to an input
     if forced := not set(names) <= set(linear.input_labels) - places:
         ports = [structure.model.port(name) for name in names]
         pairs = [(port.act, felt(port, structure.model.output_rate)) for port in ports]
@@ -281,11 +297,14 @@ def force_responses(
         pairs = [(linear.B[:, j], linear.D[:, j]) for j in map(list(linear.input_labels).index, names)]
     unique = np.column_stack([np.pad(act, (0, n - n0)) for act, _ in pairs])
     through = np.column_stack([column for _, column in pairs])
+    # forces run straight between the samples, inputs as their hold says
     Phi, G0, G1 = discretize(A, unique, data.dt, "foh" if forced else data.hold)
+    # controller in the loop: its states jump at the samples
     jumps = sample_jumps(structure, data.dt)
     Phi = jumps @ Phi if jumps.size else Phi
     where = np.array([names.index(name) for name, _ in forces])
     drives, F = (G0[:, where], G1[:, where]), np.array([force for _, force in forces]).T  # (N, k)
+    # responses from rest, in units of the noise
     out = linear_responses(Phi, drives, C0, through[:, where], F, gain=gain)
-    with np.errstate(over="ignore"):  # one unit of a coefficient may be enormous on this plant
+    with np.errstate(over="ignore"):  # a unit of a coefficient may have an enormous effect
         return np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])

@@ -24,11 +24,11 @@ from ..models.operating_point import sensed
 from ..systems.linear import Array
 from .problem import Problem
 
-_MOST_DRIFT, _DRIFTS = 0.02, 300  # share by which clocks may run apart, and how many are tried on each side
-_SLIP = 0.5  # radians at the end of the record from one to the next
+_MOST_DRIFT, _DRIFTS = 0.02, 300  # largest relative drift of the clocks; candidates on each side
+_SLIP = 0.5  # phase difference in radians between candidates, at the end of the record
 
 
-@np.errstate(invalid="ignore")  # without a motion the correlation is no number
+@np.errstate(invalid="ignore")  # without motion the correlation is NaN
 def growing_lags(structure: Structure, records: Sequence[Measurement]) -> list[float]:
     """Return the share of time by which outputs precede the simulation.
 
@@ -47,9 +47,11 @@ def growing_lags(structure: Structure, records: Sequence[Measurement]) -> list[f
         Empty where the free run does not move, or has no bounds.
     """
     pairs = [pair for record in records for pair in _free_run(structure, record)]
+    # phase error at the end of the record per unit of drift, in radians
     slips = [float(t[-1] * np.std(np.gradient(x, t)) / np.std(x)) for t, _, x in pairs]
     if not slips:
         return []
+    # steps of half a radian; the share with the highest correlation
     step = _SLIP / max(slips)
     most = min(int(_MOST_DRIFT / step), _DRIFTS)
     tried = step * np.arange(-most, most + 1)
@@ -65,6 +67,7 @@ def _free_run(structure: Structure, record: Measurement) -> list[tuple[Any, ...]
     run = Engine(structure, record).run(np.zeros(structure.n_parameters), sensitivity=False, check=False)
     if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
         return []
+    # time since the recording began
     passed = record.elapsed + record.dt * np.arange(record.n_samples)
     pairs = zip(record.outputs, run.outputs, strict=True)
     return [(passed, y, free) for y, free in pairs if np.ptp(y) > 0 < np.ptp(free)]
@@ -87,6 +90,7 @@ def common_lag(structure: Structure, record: Measurement) -> float:
     float
         0 where the free run does not move, or has no bounds.
     """
+    # correlation over all outputs
     alike = sum(np.abs(_correlations(y, x, y.size // 3)) for _, y, x in _free_run(structure, record))
     return record.dt * int(np.argmax(alike))
 
@@ -96,19 +100,22 @@ def _correlations(late: Array, early: Array, count: int) -> Array:
 
     At lag k it is that of ``late[k:]`` and ``early[:N - k]``.
     """
-    y, x = late - late.mean(), early[::-1] - early.mean()  # what a lag leaves of both is their end
+    # x in reverse, so that sums over the overlap are cumulative
+    y, x = late - late.mean(), early[::-1] - early.mean()
     size = y.size - np.arange(count)
 
     def left(part: Array) -> Array:
         return np.asarray(np.cumsum(part[::-1])[::-1][:count])
 
+    # covariance at each lag by FFT, with the mean of the overlapping part removed
     both = fftconvolve(y, x)[y.size - 1 :][:count] - left(y) * left(x) / size
+    # variances of both overlapping parts
     powers = [np.maximum(left(s * s) - left(s) ** 2 / size, _ROUNDING * (s @ s)) for s in (y, x)]
     return np.asarray(both / np.sqrt(powers[0]) / np.sqrt(powers[1]))
 
 
-_ROUNDING = 1e-12  # of a power
-_AT_REST = 0.01  # of the largest rms velocity among several records
+_ROUNDING = 1e-12  # share of a power that is rounding
+_AT_REST = 0.01  # share of the largest rms velocity below which a record is at rest
 _MOST_STARTS = 24
 
 
@@ -116,6 +123,7 @@ class Motion:
     """Displacement and velocity at the places, estimated by an observer."""
 
     def __init__(self, structure: Structure, theta: Array, data: Measurement, ratio: float = 1.0) -> None:
+        # states of an observer along the record
         engine = Engine(structure, data)
         gain = existing_gain(structure, theta, data, ratio)
         run = engine.run(theta, sensitivity=False, gain=gain, histories=True, check=False)
@@ -146,6 +154,7 @@ class ResponseMotion(Motion):
     def __init__(self, structure: Structure, theta: Array, data: ResponseRecord) -> None:
         self.data = data
         self.companions: list[Motion] = []
+        # residual of the response in units of its noise
         run = engine_on(structure, data).run(theta, sensitivity=False)
         self.residual = data.points((data.outputs - run.outputs) / data.noise)
         self._structure, self._theta = structure, theta
@@ -203,9 +212,10 @@ def law_widths(structure: Structure, motion: Motion) -> dict[int, float]:
         effect = structure.effects[index]
         share = effect.spec.width_share
         if share is not None:
+            # width: the user's, else a share of the rms velocity
             given = (effect.fixed or {}).get("width")
             speeds = np.array([np.sqrt(np.mean(m.port(effect.place)[1] ** 2)) for m in motions])
-            # sharp enough for the quietest record that moves at all
+            # the record with the smallest motion decides
             rms = float(speeds[speeds >= _AT_REST * speeds.max()].min())
             widths[index] = float(given) if given is not None else share * rms or 1.0
     return widths
@@ -235,11 +245,13 @@ def shape_starts(structure: Structure, theta: Array, motion: Motion, first: int 
     joint: list[list[list[tuple[int, float]]]] = []
     for index, effect in enumerate(structure.effects[first:], first):
         given = effect.start or {}
+        # free coefficients without a value from the user
         wanted = {
             name: structure.position(index, name)
             for name in effect.coefficients
             if structure.position(index, name) >= 0 and name not in given
         }
+        # values that the record suggests, one row for each shape
         options = effect.spec.starts(_Seen(structure, index, motion))
         rows = []
         for option in options:
@@ -249,6 +261,7 @@ def shape_starts(structure: Structure, theta: Array, motion: Motion, first: int 
         if rows:
             joint.append(rows)
     starts = []
+    # all combinations of the shapes of the effects
     for combination in itertools.islice(itertools.product(*joint), _MOST_STARTS):
         point = theta.copy()
         for column, value in itertools.chain.from_iterable(combination):
@@ -298,9 +311,11 @@ class _Seen:
         if isinstance(data, ResponseRecord):
             frequency, level = data.omega, np.log(np.mean(np.abs(residual) ** 2, axis=(0, 1)) + 1e-300)
         else:
+            # power spectrum of the residual (Welch)
             left = residual - residual.mean(axis=1, keepdims=True)
             hertz, power = welch(left, fs=1.0 / self.dt, nperseg=min(1024, left.shape[1]))
             frequency, level = 2 * np.pi * hertz[1:], np.log(power.mean(axis=0) + 1e-300)[1:]
+        # the three most prominent peaks
         found, info = find_peaks(level, prominence=0.5)
         return np.asarray(frequency[found[np.argsort(info["prominences"])[::-1][:3]]])
 
@@ -319,6 +334,7 @@ class _Seen:
 
     @property
     def pull(self) -> float:
+        # inertia times rms acceleration
         inertia = self._structure.inertia(self._place)
         return inertia * float(np.std(np.gradient(self.v, self.dt))) if np.isfinite(inertia) else 1.0
 
@@ -347,6 +363,7 @@ def far_starts(problem: Problem, structure: Structure, theta: Array) -> list[Arr
     list of ndarray
         The best point of a coordinate-wise scan, empty where nothing can be scanned.
     """
+    # elements of unknown size: springs, dampers, masses without a declared tolerance
     nominal = {(q.kind, q.place): abs(q.value) for q in structure.model.parameters}
     columns = []
     for i, parameter in enumerate(structure.parameters):
@@ -354,11 +371,12 @@ def far_starts(problem: Problem, structure: Structure, theta: Array) -> list[Arr
         size = nominal.get((effect.kind, effect.place), 0.0)
         if effect.spec.inertial:
             size = structure.inertia(effect.place)
-        known = problem.prior_sd[i] < size  # a declared tolerance: it is not far off
+        known = problem.prior_sd[i] < size  # a declared tolerance: no scan needed
         if effect.spec.is_element and 0 < size < np.inf and not known:
             columns.append((i, size))
     if not columns:
         return []
+    # scan each coefficient over ten decades, one after the other, three times at most
     factors = np.logspace(-5, 5, 21)
     points = []
     for base in (theta, structure.start()):
@@ -380,6 +398,7 @@ def far_starts(problem: Problem, structure: Structure, theta: Array) -> list[Arr
 
 
 def _free_run_cost(problem: Problem, theta: Array) -> float:
+    # sum of squares of the free run from rest
     total = 0.0
     for engine in problem.engines:
         run = engine.run(theta, sensitivity=False, check=False)

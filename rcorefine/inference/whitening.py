@@ -16,8 +16,8 @@ from ..systems.linear import Array
 
 #: Share of an output's standard deviation below which a residual in time is that of the arithmetic.
 RESOLUTION = 1e-6
-_HUBER = 1.345  # times the standard deviation; of normal noise 95 % of the efficiency is kept
-_HEAVY = 5.0  # excess kurtosis, in its standard deviations, from which samples count as unequally noisy
+_HUBER = 1.345  # Huber's constant: 95 % efficiency for normal noise
+_HEAVY = 5.0  # excess kurtosis in standard deviations, above which samples are unequally noisy
 
 
 def innovations(a: Array, signal: Array) -> Array:
@@ -30,8 +30,8 @@ def innovations(a: Array, signal: Array) -> Array:
     if signal.ndim == 1:
         return np.convolve(signal, a)[: signal.size]
     left = np.zeros_like(signal)
-    for j in np.flatnonzero(signal.any(axis=0)):  # an initial state is felt in its own window only
-        left[:, j] = np.convolve(signal[:, j], a)[: len(signal)]  # a third of lfilter's time in windows
+    for j in np.flatnonzero(signal.any(axis=0)):  # columns of other windows' initial states are zero
+        left[:, j] = np.convolve(signal[:, j], a)[: len(signal)]  # three times as fast as lfilter
     return left
 
 
@@ -79,9 +79,10 @@ class Whitener:
         floor : float or array_like of shape (n_y,)
             Standard deviation below which an innovation is rounding.
         """
+        # one model for each output, over all records
         models = [autoregression(row, order=order, most=most) for row in np.concatenate(residuals, axis=1)]
         left = np.sqrt([variance for _, variance in models])
-        # nothing is left where no sample is judged, or an observer follows the record: that is no noise
+        # zero innovations (no sample counts, or the observer follows the record) are no noise level
         return cls(tuple(a for a, _ in models), np.where(left > 0, np.hypot(left, floor), 1.0))
 
     @property
@@ -95,7 +96,7 @@ class Whitener:
         The result begins at the first sample with a whole past.
         """
         a = self.filters[i]
-        with np.errstate(over="ignore"):  # the column of an enormous unit is as enormous
+        with np.errstate(over="ignore"):  # columns of coefficients with a large unit may overflow
             return np.asarray(innovations(a, signal)[a.size - 1 :] / self.scales[i])
 
     def apply(self, blocks: Sequence[Array]) -> Array:
@@ -155,19 +156,22 @@ def huber_weights(residual: Array, outputs: NDArray[np.intp]) -> Array | None:
     for i in np.unique(outputs):
         mine = outputs == i
         r = residual[mine]
-        known = r[r != 0.0]  # a sample that is not judged is exactly zero
+        known = r[r != 0.0]  # samples without weight are exactly zero
+        # robust scale: median of the absolute values
         scale = float(np.median(np.abs(known))) / stats.norm.ppf(0.75) if known.size else 0.0
         if scale <= 0.0:
             continue
+        # excess kurtosis, against its standard deviation sqrt(24 / N)
         square = (known / scale) ** 2
         excess = float(np.mean(square**2) / np.mean(square) ** 2) - 3.0
         heavy = heavy or excess > _HEAVY * np.sqrt(24.0 / known.size)
+        # square root of Huber's weight min(1, c / |r|)
         weights[mine] = np.sqrt(np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(r), 1e-9 * scale)))
     return weights if heavy else None
 
 
 MAX_ORDER = 20
-_RIDGE = 1e-13  # of the signal's power: rounding of the sums of products stays below it
+_RIDGE = 1e-13  # ridge over the power of the signal, above the rounding of the sums
 
 
 def highest_order(n_samples: int) -> int:
@@ -233,22 +237,27 @@ def autoregression(
     longest = highest_order(int(whole.sum()))
     most = order if order is not None else longest if most is None else min(most, longest)
     n = r.size - most
+    # sums of products of lagged samples, (order + 1, order + 1)
     if whole.all():
         products = _products(r, most)
         for column in () if unsure is None else unsure.T:
             products += _products(column, most)
     else:
-        judged = sliding_window_view(whole, most + 1).all(axis=1)
-        rows, n = sliding_window_view(r, most + 1)[judged, ::-1], int(judged.sum())
+        complete = sliding_window_view(whole, most + 1).all(axis=1)
+        rows, n = sliding_window_view(r, most + 1)[complete, ::-1], int(complete.sum())
         products = rows.T @ rows
     power = float(products[0, 0])
     if most == 0 or not 0.0 < power < np.inf:
         return np.eye(1, 1 + (order or 0))[0], power / max(n, 1)
+    # Cholesky factorization: least squares of all orders at once
     ridge = _RIDGE * np.trace(products) / (most + 1) * np.eye(most)
     lower = cholesky(products[1:, 1:] + ridge, lower=True)
     along = solve_triangular(lower, products[1:, 0], lower=True)
+    # residual power of each order
     rest = np.maximum(power - np.concatenate([[0.0], np.cumsum(along**2)]), 1e-14 * power)
+    # information criterion: log-likelihood and price of the coefficients
     best = int(np.argmin(n * np.log(rest) + price * np.arange(rest.size))) if order is None else order
+    # coefficients of the chosen order
     past = solve_triangular(lower[:best, :best], along[:best], lower=True, trans="T")
     return np.concatenate([[1.0], -past]), float(rest[best]) / n
 
@@ -261,7 +270,7 @@ def _products(r: Array, most: int) -> Array:
     n, lags = r.size, np.arange(most + 1)
     products = np.empty((most + 1, most + 1))
     products[0] = [r[most:] @ r[most - lag : n - lag] for lag in lags]
-    for i in range(most):  # one sample further back, one enters the sum and one leaves it
+    for i in range(most):  # shift by one sample: one product enters the sum, one leaves it
         entered, left = r[most - 1 - i] * r[most - 1 - lags[:-1]], r[n - 1 - i] * r[n - 1 - lags[:-1]]
         products[i + 1, 1:] = products[i, :-1] + entered - left
         products[i + 1, 0] = products[0, i + 1]

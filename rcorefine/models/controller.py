@@ -79,6 +79,7 @@ class Controller:
 
     def __post_init__(self) -> None:
         system = self.system
+        # a gain: a matrix (n_w, n_y)
         if not isinstance(system, (ct.StateSpace, ct.TransferFunction)):
             if not isinstance(system, (float, int, np.number, np.ndarray, list, tuple)):
                 raise ct.ControlArgument(
@@ -94,6 +95,7 @@ class Controller:
             system.setflags(write=False)
         object.__setattr__(self, "system", system)
         object.__setattr__(self, "delay", as_number(self.delay, "delay", least=0.0, what="a time in seconds"))
+        # limits: one pair, or one for each input
         if self.limits is not None:
             limits = np.atleast_2d(as_array(self.limits, "limits", finite=False, error=ct.ControlArgument))
             if limits.ndim > 2 or limits.shape[1] != 2:
@@ -106,6 +108,7 @@ class Controller:
 
     def _effects(self, places: Sequence[str]) -> tuple[Effect, ...]:
         """Return delay and limits at the driven inputs, as known effects."""
+        # delay first, then the limits
         found = [
             Effect(InputDelay.name, place, fixed={"delay": self.delay}) for place in places if self.delay
         ]
@@ -117,6 +120,7 @@ class Controller:
             )
         each = limits * len(places) if len(limits) == 1 else limits
         for place, (low, high) in zip(places if each else (), each, strict=True):
+            # symmetric limits are a saturation, others a range
             if low == -high:
                 found.append(Effect(InputSaturation.name, place, fixed={"limit": high}))
             else:
@@ -170,6 +174,7 @@ class JoinedController:
         ModelError
             If its sampling time is another one.
         """
+        # sampled controller: its matrices as they are
         A, B, C, D = (getattr(self.linear, key) for key in "ABCD")
         own = self.linear.dt
         if self.sampled:
@@ -179,18 +184,21 @@ class JoinedController:
                     "the sampling time of the record (a continuous one for .sample(dt)), or the record at its"
                 )
             return A, B, C, D
+        # continuous controller: first-order hold of its inputs
         Phi, G0, G1 = discretize(A, B, dt, "foh")
         return Phi, G0 + Phi @ G1, C, D + C @ G1
 
     def fed_back(self, dt: float, n_outputs: int) -> tuple[Array, Array, Array, Array]:
         """A, B, C, D from all outputs of the model alone, references left out."""
         A, B, C, D = self.at(dt)
+        # columns of the outputs that it reads
         pick = self.reads(n_outputs)
         return A, B @ pick, C, D @ pick
 
     def reads(self, n_outputs: int) -> Array:
         """Its inputs by the outputs of the model."""
         pick = np.zeros((len(self.fed), n_outputs))
+        # an input that no output of the model feeds is a reference
         for row, output in enumerate(self.fed):
             if output >= 0:
                 pick[row, output] = 1.0
@@ -233,6 +241,7 @@ def as_controller(given: Any, model: LinearModel, records: Sequence[Any]) -> Joi
     linear = LinearModel.from_statespace(
         _of_gain(system, model, records) if isinstance(system, np.ndarray) else system
     )
+    # without names: as in control.feedback(model, controller), with a minus sign
     inputs, outputs = linear.input_labels, linear.output_labels
     if all(_DEFAULT.fullmatch(label) for label in (*inputs, *outputs)) and not (
         set(outputs) <= set(model.input_labels)
@@ -246,6 +255,7 @@ def as_controller(given: Any, model: LinearModel, records: Sequence[Any]) -> Joi
         linear = linear.with_arrays(B=-linear.B, D=-linear.D)
         controller = JoinedController(linear, tuple(range(len(inputs))), tuple(range(len(outputs))))
     else:
+        # with names: outputs drive inputs of the model, inputs read its outputs or are references
         strange = [label for label in outputs if label not in model.input_labels]
         if strange or len(set(outputs)) < len(outputs):
             raise ct.ControlDimension(
@@ -261,6 +271,7 @@ def as_controller(given: Any, model: LinearModel, records: Sequence[Any]) -> Joi
         controller = JoinedController(
             linear, fed, tuple(model.input_labels.index(label) for label in outputs)
         )
+    # algebraic loop: D_controller D_model is not zero
     if (linear.D @ controller.reads(model.n_outputs) @ model.D[:, list(controller.driven)]).any():
         raise ModelError(
             f"controller {linear.name!r} answers at once to an output that its own input reaches at once: an "
@@ -277,6 +288,7 @@ def _of_gain(gain: Array, model: LinearModel, records: Sequence[Any]) -> ct.Stat
             f"{model.n_inputs} input(s) and {model.n_outputs} output(s); name the signals of a "
             "control.StateSpace to use some of them"
         )
+    # the record holds the inputs: no reference is needed
     if not any(unrecorded(range(model.n_inputs), model, record) for record in records):
         return ct.ss([], [], [], gain)
     references = [label for label in records[0].input_labels if label not in model.input_labels]
@@ -285,6 +297,7 @@ def _of_gain(gain: Array, model: LinearModel, records: Sequence[Any]) -> ct.Stat
             f"record {records[0].name!r} holds the inputs {', '.join(records[0].input_labels)}; a gain takes "
             f"{', '.join(model.input_labels)}, or one reference for each of {', '.join(model.output_labels)}"
         )
+    # command = K (r - y)
     return ct.ss(
         [], [], [], np.hstack([gain, -gain]), inputs=[*references, *model.output_labels],
         outputs=list(model.input_labels),
@@ -300,6 +313,7 @@ def unrecorded(driven: Sequence[int], model: LinearModel, data: Any) -> list[str
     """Return those of some inputs of the model that a record does not hold."""
     if not isinstance(data, Measurement):
         return []
+    # default labels are matched by position
     if all(_DEFAULT.fullmatch(q) for q in data.input_labels) and data.n_inputs == model.n_inputs:
         return []  # by position
     return [label for label in (model.input_labels[i] for i in driven) if label not in data.input_labels]
@@ -312,6 +326,7 @@ def answer(
 
     The controller starts at zero. The second value lists the signals that the record lacks.
     """
+    # signals as recorded, with their means
     signals = np.vstack([data.inputs, data.outputs]) + data.origin[:, None]
     labels = [*data.input_labels, *data.output_labels]
     if data.n_outputs == model.n_outputs and all(_DEFAULT.fullmatch(q) for q in data.output_labels):
@@ -321,10 +336,12 @@ def answer(
         for i, name in zip(controller.fed, controller.linear.input_labels, strict=True)
     ]
     missing = [name for name in names if name not in labels]
+    # the controller read a signal that is not in the record
     if missing:
         return None, missing
     A, B, C, D = controller.at(data.dt)
     read = signals[[labels.index(name) for name in names]]
+    # simulate the controller: u(k) = C x(k) + D r(k), x(k+1) = A x(k) + B r(k)
     given, pushed, x = D @ read, B @ read, np.zeros(A.shape[0])
     for k in range(data.n_samples):
         given[:, k] += C @ x
@@ -356,7 +373,9 @@ def completed(model: PhysicalModel, data: Measurement) -> Measurement:
             f"{', '.join((*data.input_labels, *data.output_labels))}. Name the reference as the controller "
             "does, or give the input as recorded"
         )
+    # add the commands that the record lacks
     rows = [i for i, where in enumerate(controller.driven) if linear.input_labels[where] in lacking]
+    # a continuous controller's command runs between the samples
     straight = not controller.sampled and data.hold == "zoh"
     return data._changed(
         inputs=np.vstack([data.inputs, given[rows]]),

@@ -27,7 +27,7 @@ from .parameters import NominalParameter, combine_units
 from .physical_model import PhysicalModel
 from .ports import Port
 
-_TIMES = (0.0, 1.7)  # at which a model that does not depend on time says the same
+_TIMES = (0.0, 1.7)  # times at which an autonomous model gives the same rates
 _KNOWN: WeakKeyDictionary[Any, tuple[dict[str, Any], PhysicalModel]] = WeakKeyDictionary()
 
 
@@ -86,6 +86,7 @@ def from_nonlinear(
             "name them: control.nlsys(..., states=[...], inputs=[...], outputs=[...])"
         )
     n, nw, ny = system.nstates, system.ninputs, system.noutputs
+    # numbers among the parameters may be estimated, other values are held
     names = tuple(k for k, v in system.params.items() if isinstance(v, Real) and not isinstance(v, bool))
     others = {k: v for k, v in system.params.items() if k not in names}
     functions = RightHandSide(system.updfcn, system.outfcn, names, others, n, ny, f"{system.name!r}")
@@ -93,21 +94,26 @@ def from_nonlinear(
     inputs, outputs, states = map(tuple, (system.input_labels, system.output_labels, system.state_labels))
     A, B, C, D = np.zeros((n, n)), np.zeros((n, nw)), np.zeros((ny, n)), np.zeros((ny, nw))
     bare = LinearModel(A, B, C, D, 0, inputs, outputs, states, str(system.name))
+    # linearize about the declared point, or about the origin
     given = {"inputs": np.zeros(nw), "states": np.zeros(n)} if operating_point is None else operating_point
     point = as_operating_point(given, bare)
     level = np.concatenate([point.states, point.inputs])
-    here = _checked(functions, level, nominal, operating_point is None)
+    here = _check_rates(functions, level, nominal, operating_point is None)
+    # slopes: exact ones where the functions can be traced and agree with differences
     L, exact = _slopes(functions, level, nominal), exact_slopes(functions, level, nominal)
     if not np.isfinite(L).all():
         raise ModelError(_NOWHERE.format(label=functions.label, what="have no slope"))
     if exact is not None and np.allclose(exact, L, rtol=1e-6, atol=1e-9 * np.abs(L).max(initial=0.0)):
-        L = exact  # but not at a corner, nor where symbols took another way through the functions
+        L = exact  # not at a corner, where the traced path may be another one
     linear = bare.with_arrays(A=L[:n, :n], B=L[:n, n:], C=L[n:, :n], D=L[n:, n:])
+    # places of the linear part
     model = PhysicalModel(**recognized(linear.to_statespace(), None, declared))
     if operating_point is None or "outputs" not in operating_point:
         point = replace(point, outputs=here[n:])
+    # linear part of the outputs without the rates that they read, as the field takes it
     straight = np.vstack([L[:n], np.hstack([model.output_state, model.output_input])])
     field = Field(Remainder(functions, nominal, level, straight, model.output_rate, point.outputs))
+    # the numbers are the parameters of the model
     numbers = tuple(
         NominalParameter(name, value, "", ModelParameter.name, name)
         for name, value in zip(names, nominal.tolist(), strict=True)
@@ -115,12 +121,13 @@ def from_nonlinear(
     return replace(model, parameters=numbers, operating_point=replace(point, field=field))
 
 
-def _checked(functions: RightHandSide, level: Array, nominal: Array, origin: bool) -> Array:
+def _check_rates(functions: RightHandSide, level: Array, nominal: Array, origin: bool) -> Array:
     """Return rates and outputs at a point, after checks.
 
     They must not depend on time, and there must be as many as declared.
     """
     n = functions.n_states
+    # autonomous: the same rates at two times
     first, later = (functions(level[:n], level[n:], nominal, t) for t in _TIMES)
     if first.size != n + functions.n_outputs:
         raise ModelError(
@@ -147,6 +154,7 @@ def _slopes(functions: RightHandSide, level: Array, nominal: Array) -> Array:
     """
     n = functions.n_states
 
+    # central difference
     def central(j: int, h: float) -> Array:
         step = h * np.eye(level.size)[j]
         with np.errstate(all="ignore"):
@@ -154,9 +162,11 @@ def _slopes(functions: RightHandSide, level: Array, nominal: Array) -> Array:
         return (up - low) / (2.0 * h)
 
     steps = enumerate(1e-3 * np.maximum(np.abs(level), 1.0))
+    # Richardson extrapolation: (4 D(h/2) - D(h)) / 3
     columns = [(4.0 * central(j, 0.5 * h) - central(j, h)) / 3.0 for j, h in steps]
     found = np.column_stack(columns)
     size = np.abs(found).max(axis=1, initial=0.0, keepdims=True)
+    # rounding becomes zero, the rest is rounded to ten digits
     found[np.abs(found) < 1e-9 * size] = 0.0
     digits = np.where(found == 0.0, 0.0, 9 - np.floor(np.log10(np.abs(np.where(found == 0, 1.0, found)))))
     return np.round(found * 10.0**digits) / 10.0**digits
@@ -215,6 +225,7 @@ def under_control(model: Any, controller: Any, data: Any) -> Any:
     The controller is the given one, or the one that the model has.
     """
     model = as_model(model)
+    # the given controller, or the one that the model has
     physical = known_physical(model) if controller is None else as_physical(model)
     known = None if physical is None else physical.controller
     records = data if isinstance(data, (list, tuple)) else [data]
@@ -222,15 +233,17 @@ def under_control(model: Any, controller: Any, data: Any) -> Any:
         known = as_controller(controller, physical.linear, records)
     if known is None or physical is None:
         return model
+    # does a record lack an input that the controller drives?
     known = replace(known, recorded=not any(unrecorded(known.driven, physical.linear, r) for r in records))
     closed = replace(physical, controller=known)
     if not hasattr(model, "physical_model"):
         return closed
+    # refinement under another controller: other known effects
     held = known.effects if controller is not None and hasattr(model, "roles") else None
-    return replace(model, physical_model=closed, **({} if held is None else _with_held(model, held)))
+    return replace(model, physical_model=closed, **({} if held is None else _replace_known(model, held)))
 
 
-def _with_held(model: Any, held: tuple[Effect, ...]) -> dict[str, Any]:
+def _replace_known(model: Any, held: tuple[Effect, ...]) -> dict[str, Any]:
     """Return the fields of a refinement under another controller.
 
     Raises
@@ -238,6 +251,7 @@ def _with_held(model: Any, held: tuple[Effect, ...]) -> dict[str, Any]:
     ModelError
         If the refinement itself has an effect of the controller.
     """
+    # effects of the refinement itself
     kept = [i for i, role in enumerate(model.roles) if role != HELD]
     own = {(model.effects[i].kind, model.effects[i].place) for i in kept}
     for effect in held:
@@ -248,6 +262,7 @@ def _with_held(model: Any, held: tuple[Effect, ...]) -> dict[str, Any]:
     return {
         "effects": (*(model.effects[i] for i in kept), *held),
         "roles": (*(model.roles[i] for i in kept), *[HELD] * len(held)),
+        # indices of the effects have changed
         "constants": {kept.index(i): width for i, width in model.constants.items()},
     }
 
@@ -342,21 +357,24 @@ def physical(
     >>> round(next(q.value for q in model.parameters if q.place == "shaft"))
     120
     """
+    # declarations: links, units, parameters
     given = {name: _weights(name, ends) for name, ends in as_mapping(links, "links", "weights").items()}
     named = {k: as_text(v, f"unit of {k!r}") for k, v in as_mapping(units, "units", "units").items()}
     numbers = {k: _number(k, v) for k, v in as_mapping(parameters, "parameters", "parameters").items()}
     masses = {place: value for kind, place, value in numbers.values() if kind == Mass.name}
     declared = Declared(given, named, masses)
+    # places by the structure of the matrices, together with the declarations
     if is_nonlinear(system):
         model = from_nonlinear(system, declared, operating_point)
     elif isinstance(system, ct.StateSpace):
         model = PhysicalModel(**recognized(system, dt, declared))
     else:
         model = as_physical(system, dt=dt)
+    # declared links that join existing places
     own = {port.name for port in model.ports}
     more = [_sum_port(model, name, ends) for name, ends in given.items() if name not in own]
     model = _in_units(replace(model, ports=(*model.ports, *more)), named)
-    model = replace(model, parameters=_named(model, numbers))
+    model = replace(model, parameters=_merge_parameters(model, numbers))
     if operating_point is None or model.operating_point is not None:
         return model
     return replace(model, operating_point=as_operating_point(operating_point, model.linear))
@@ -385,6 +403,7 @@ def _number(name: str, given: Any) -> tuple[str, str, float]:
 def _sum_port(model: PhysicalModel, name: str, weights: Mapping[str, float]) -> Port:
     """Port of a link that joins places of the model, or a place and an input."""
     linear = model.linear
+    # ends of the link: states and inputs
     states = [label for label in weights if label in linear.state_labels]
     inputs = [label for label in weights if label not in linear.state_labels]
     strange = [label for label in inputs if label not in linear.input_labels]
@@ -396,6 +415,7 @@ def _sum_port(model: PhysicalModel, name: str, weights: Mapping[str, float]) -> 
     if not states:
         raise ModelError(f"link {name!r} joins inputs alone; give it a state to act on")
     ends = [(_own_port(model, name, label), weights[label]) for label in states]
+    # only displacements, speeds or stores are added to each other
     kinds = {(port.kind, port.has_position) for port, _ in ends}
     if len(kinds) > 1:
         raise ModelError(
@@ -404,13 +424,15 @@ def _sum_port(model: PhysicalModel, name: str, weights: Mapping[str, float]) -> 
         )
     (kind, positioned) = kinds.pop()
     direct = np.array([weights[label] if label in inputs else 0.0 for label in linear.input_labels])
+    # weighted sum of the rows of the ports
     rows = {
         key: sum(size * getattr(port, key) for port, size in ends)
         for key in ("act", "position", "velocity", "velocity_input", "acceleration_input")
     }
     if not positioned:
         rows["velocity_input"] = rows["velocity_input"] + direct
-    elif inputs:  # the rate of the input is in no matrix
+    # an input is the unit of the displacement, or of the velocity where there is none
+    elif inputs:  # the rate of the input is unknown
         rows |= {"velocity": np.zeros(linear.n_states), "velocity_input": 0.0 * direct}
     at_once = direct if positioned else 0.0 * direct
     words = f"declared, {'d' if positioned else 'v'} = {weighted(weights)}"
@@ -421,9 +443,11 @@ def _own_port(model: PhysicalModel, name: str, label: str) -> Port:
     """The port that senses one state alone."""
     state = model.linear.state_labels.index(label)
     row = np.eye(model.linear.n_states)[state]
+    # a port whose displacement is this state alone
     for port in model.ports:
         if not port.position_input.any() and np.array_equal(port.position, row):
             return port
+    # a port whose velocity is this state alone, with positive sign
     for port in model.ports:
         if not port.velocity_input.any() and np.flatnonzero(port.velocity).tolist() == [state]:
             sign, none = np.sign(port.velocity[state]), 0.0 * port.position_input
@@ -448,11 +472,13 @@ def _in_units(model: PhysicalModel, units: Mapping[str, str]) -> PhysicalModel:
                 f"units names {label!r}, which is no signal; there are {', '.join(sum(signals, ()))}"
             )
     old = (model.state_units, model.input_units, model.output_units)
+    # declared units by signal
     state, entry, read = (
         tuple(map(units.get, labels, given)) for labels, given in zip(signals, old, strict=True)
     )
     ports = []
     for port in model.ports:
+        # velocity unit: given, or that of the position per second, or that of the state
         position = port.position_unit or _unit_of(port.position, state)
         rate = combine_units("position/s", {"position": position})
         velocity = port.velocity_unit or rate or _unit_of(port.velocity, state)
@@ -468,7 +494,7 @@ def _unit_of(row: np.ndarray[Any, Any], units: tuple[str, ...]) -> str:
     return units[int(entries[np.argmin(np.abs(np.abs(row[entries]) - 1.0))])]
 
 
-def _named(
+def _merge_parameters(
     model: PhysicalModel, numbers: Mapping[str, tuple[str, str, float]]
 ) -> tuple[NominalParameter, ...]:
     """Return the declared parameters and those read from the matrices."""
@@ -479,5 +505,6 @@ def _named(
         except ModelError as error:
             raise ModelError(f"parameter {name!r}: {error}") from error
         declared.append(NominalParameter(name, value, model.unit(effect, effect.free[0]), kind, place))
+    # declared parameters replace those found at the same place
     held = {(item.kind, item.place) for item in declared}
     return (*declared, *(item for item in model.parameters if (item.kind, item.place) not in held))

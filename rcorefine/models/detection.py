@@ -24,11 +24,11 @@ from .masses import MassScale, exchanging, relative_masses
 from .parameters import NominalParameter, rate_at
 from .ports import Element, Port, port_at, row_of
 
-_SAME = 1e-6  # relative misfit of numbers that are the same
-_LEFT = 1e-9  # relative size of what cancellation leaves behind
-_ROUNDED = 2e-3  # and of what four digits of the entries leave of a coupling
-_MOST = 60  # entries of B, C and D that somebody measured
-_ALONG = 1e-6  # of the cosine between two directions that are one: four digits of their entries are kept
+_SAME = 1e-6  # relative difference of equal values
+_LEFT = 1e-9  # relative size of rounding after cancellation
+_ROUNDED = 2e-3  # relative rounding of a coupling when entries have four digits
+_MOST = 60  # most entries of B, C and D that count as parameters
+_ALONG = 1e-6  # one minus the cosine of equal directions, for entries of four digits
 _ANONYMOUS = re.compile(r"x\[\d+\]")
 
 
@@ -38,13 +38,16 @@ def recognized(sys: ct.StateSpace, dt: float | None, declared: Declared | None =
     See `PhysicalModel.from_statespace`.
     """
     linear, tolerance = _in_continuous_time(sys, dt)
+    # displacements, then places with springs and dampers
     displacements = find_displacements(linear, tolerance)
     ports, parameters = find_ports(linear, displacements, tolerance, declared or Declared())
+    # accelerometers, load cells, entries of B, C and D
     rate = find_rate_sensors(linear, displacements, tolerance)
     rate, ports, parameters = find_meters(linear, rate, ports, parameters)
     weights = read_weights(linear, rate, displacements, ports, tolerance)
     return {
         "linear": linear,
+        # y = C_x x + C_a dx/dt + D_w w, with C = C_x + C_a A
         "output_state": linear.C - rate @ linear.A if rate.any() else linear.C,
         "output_rate": rate,
         "output_input": linear.D - rate @ linear.B,
@@ -57,7 +60,7 @@ def _in_continuous_time(sys: ct.StateSpace, dt: float | None) -> tuple[LinearMod
     """The model, and the relative size below which its entries count as zero."""
     linear = LinearModel.from_statespace(sys)
     step = None if dt is None else check_sampling_time(dt)
-    if linear.dt is None:  # python-control: either time base
+    if linear.dt is None:  # python-control: unspecified timebase
         linear = linear.with_arrays(dt=0)
     if linear.is_continuous:
         return linear, 1e-9
@@ -96,23 +99,28 @@ def find_ports(
         Nonzero stiffness, damping and coefficients, and the input gains.
     """
     labels = linear.state_labels
+    # modal coordinates first; physical displacements are what remains
     modes = find_modes(linear, displacements, tolerance)
     modal = {state for mode in modes for state in mode.states}
     displacements = [item for item in displacements if item.state not in modal]
     velocity = dict(zip(*of_masses(displacements)[:2], strict=True))
     moving = {state for item in displacements for state in item.ends}
+    # declared masses, by the velocity state
     known = {
         velocity.get(i, i): declared.masses[label]
         for i, label in enumerate(labels)
         if label in declared.masses
     }
+    # masses that make stiffness and damping symmetric, then the links between them
     masses = relative_masses(linear, displacements, tolerance, known)
     links, open_ = find_links(linear, displacements, masses, tolerance, declared)
+    # ports by state: modes, displacements, then states of their own
     by_state = {mode.states[0]: mode.port for mode in modes}
     for item in displacements:
         by_state[item.state] = _displacement_port(linear, item, masses, open_.get(item.state, ""))
     own = [i for i in range(linear.n_states) if i not in modal | by_state.keys() | set(velocity.values())]
     by_state |= {i: _state_port(linear, i, masses, mechanical=i in moving) for i in own}
+    # flows between stores
     exchange = [
         _exchange_port(linear, source, sink, masses)
         for source, sink in exchanging(linear.A, [i for i in own if i not in moving], tolerance)
@@ -140,30 +148,36 @@ def _read_parameters(
     The links are taken off a copy of A, then springs and dampers to the ground. What is left over
     (first-order states, one-way couplings) is listed entry by entry.
     """
+    # subtract the links from a copy of [A B]
     rest = _Rest(linear, tolerance)
     for element in elements:
         rest.off(element.port, Stiffness.name, element.stiffness)
         rest.off(element.port, Damping.name, element.damping)
-        rest.left[list(element.states)] = 0.0  # of a mode
+        rest.left[list(element.states)] = 0.0  # rows of a mode are explained
     velocity = dict(zip(*of_masses(displacements)[:2], strict=True))
     if not all(element.states for element in elements):
         rest.round_off(velocity)
+    # springs and dampers of elongations
     for item in displacements:
         if not item.absolute:
             rest.take_elongation(by_state[item.state], item)
+    # springs and dampers to the ground
     for state, row in velocity.items():
         rest.take(by_state[state], Stiffness.name, row, state)
         rest.take(by_state[state], Damping.name, row, row)
     if masses.shared:
         rest.left[np.abs(rest.left) <= _ROUNDED * rest.scale] = 0.0
+    # viscous friction of speeds without a displacement
     for i, port in by_state.items():
         if port.kind == "mechanical" and not port.has_position:
             rest.take(port, Damping.name, i, i)
-    rest.left[[item.state for item in displacements]] = 0.0  # kinematics
+    rest.left[[item.state for item in displacements]] = 0.0  # kinematic rows
+    # zero losses of a physical structure, then the entries that are left over
     parameters = rest.found + _lossless(linear, by_state, elements, rest.found, tolerance)
     for i, j in np.argwhere(rest.left[:, : linear.n_states]).tolist():
         place = f"A[{i},{j}]"
         parameters.append(NominalParameter(place, float(linear.A[i, j]), "", Entry.name, place, False))
+    # a gain for each input, except the acceleration of the base
     for label, base, column in zip(linear.input_labels, masses.base_acceleration, linear.B.T, strict=True):
         if column.any() and not base:
             parameters.append(NominalParameter(f"gain[{label}]", 1.0, "1", InputGain.name, label, False))
@@ -185,18 +199,21 @@ def _lossless(
     A = significant(linear.A, tolerance)
     if not len(A):
         return []
+    # states on which the force of a link acts
     linked = np.any([e.port.act for e in elements], axis=0) if elements else np.zeros(len(A), dtype=bool)
+    # rows such as x1' = x2 are kinematics
     kinematic = (np.count_nonzero(A, axis=1) == 1) & (np.abs(A).max(axis=1) == 1.0) & ~linear.B.any(axis=1)
     kinds = {(q.kind, q.place) for q in found}
     zero = []
     for port in {p.name: p for p in [*(e.port for e in elements), *by_state.values()]}.values():
         if port.kind == "mechanical":
-            alone = not (linked & (port.act != 0)).any()
+            isolated = not (linked & (port.act != 0)).any()
         else:
-            alone = not port.velocity @ A @ port.act and not kinematic[port.velocity != 0].any()
+            isolated = not port.velocity @ A @ port.act and not kinematic[port.velocity != 0].any()
+        # a spring without damper, or a body without friction, whose motion comes back
         sprung = (Stiffness.name, port.name) in kinds
         if (Damping.name, port.name) not in kinds and (
-            sprung or (alone and rate_at(A, port.act, port.velocity))
+            sprung or (isolated and rate_at(A, port.act, port.velocity))
         ):
             zero.append(NominalParameter(f"c[{port.name}]", 0.0, "", Damping.name, port.name, False))
     return zero
@@ -233,11 +250,11 @@ def _state_port(linear: LinearModel, i: int, masses: MassScale, *, mechanical: b
         words, base = f"speed {label}; {masses.origin[i]}", masses.base_acceleration
         return port_at(linear, label, words, act, {i: 1.0}, acceleration_input=base)
     return port_at(
-        linear, label, f"state {label}; {_stored(masses.origin[i])}", act, {i: 1.0}, kind="first_order"
+        linear, label, f"state {label}; {_storage_words(masses.origin[i])}", act, {i: 1.0}, kind="first_order"
     )
 
 
-def _stored(origin: str) -> str:
+def _storage_words(origin: str) -> str:
     return origin.replace("mass", "storage").replace("forces are", "flows are")
 
 
@@ -270,6 +287,7 @@ def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScal
     It is an exchange in both directions (temperatures) or a flow (tanks).
     """
     A, (one, two) = linear.A, (linear.state_labels[i] for i in (source, sink))
+    # both ways: the force is on the difference of the states
     if A[source, sink] > 0:
         name, words = f"{one}-{two}", f"exchange between {one} and {two}, driven by their difference"
         velocity = {source: 1.0, sink: -1.0}
@@ -278,8 +296,9 @@ def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScal
         name, velocity = f"{one}->{two}", {source: 1.0}
         words = f"flow from {one} to {two}, taken as if all that leaves {one} reached {two}"
         act = masses.act(velocity)
+        # one way: share of the outflow that reaches the sink
         act[sink] = A[sink, source] / -A[source, source] / masses.mass[source]
-    words += f"; {_stored(masses.origin[source])}"
+    words += f"; {_storage_words(masses.origin[source])}"
     return port_at(linear, name, words, act, velocity, kind="first_order")
 
 
@@ -288,6 +307,7 @@ class _Rest:
 
     def __init__(self, linear: LinearModel, tolerance: float) -> None:
         B, self.scale = np.abs(linear.B), np.abs(np.hstack([linear.A, linear.B]))
+        # entries of B that are rounding count as zero
         driven = np.where(B > tolerance * B.max(axis=0, initial=0.0), linear.B, 0.0)
         self.left = np.hstack([significant(linear.A, tolerance), driven])
         self.found: list[NominalParameter] = []
@@ -298,7 +318,8 @@ class _Rest:
         Its contribution to all entries is subtracted.
         """
         if abs(self.left[row, column]) > _LEFT * self.scale[row, column]:
-            sensed = _sensed(port, kind)
+            sensed = _sensor_row(port, kind)
+            # coefficient = rest of the entry / (act * sensed)
             self.off(port, kind, float(self.left[row, column] / (port.act[row] * sensed[column])))
 
     def take_elongation(self, port: Port, item: Displacement) -> None:
@@ -327,11 +348,12 @@ class _Rest:
         if value:
             name = f"{'k' if kind == Stiffness.name else 'c'}[{port.name}]"
             self.found.append(NominalParameter(name, float(value), "", kind, port.name, False))
-            self.left -= value * np.outer(port.act, _sensed(port, kind))
+            # subtract coefficient * act sensed' from all entries
+            self.left -= value * np.outer(port.act, _sensor_row(port, kind))
             self.left[np.abs(self.left) <= _LEFT * self.scale] = 0.0
 
 
-def _sensed(port: Port, kind: str) -> Array:
+def _sensor_row(port: Port, kind: str) -> Array:
     """Return the row over states and inputs that a spring or damper senses."""
     if kind == Stiffness.name:
         return np.concatenate([port.position, port.position_input])
@@ -362,6 +384,7 @@ def find_rate_sensors(linear: LinearModel, displacements: Sequence[Displacement]
     every displacement is such a combination, so there the weights must be 1 (or the direct
     part of the input must agree).
     """
+    # rows of the velocity states
     rows = sorted({state for item in displacements for state in item.ends})
     rate = np.zeros((linear.n_outputs, linear.n_states))
     for y, (c, d) in enumerate(zip(linear.C, linear.D, strict=True)):
@@ -376,23 +399,27 @@ def _rate_weights(linear: LinearModel, rows: list[int], c: Array, d: Array, tole
         return None
     A, B = linear.A[rows], linear.B[rows]
     candidates: list[Array] = []
-    for index, row in enumerate(A):  # a single accelerometer is the plainest reading
+    for index, row in enumerate(A):  # first candidates: an accelerometer at one mass
         if row.any():
             weights = np.zeros(len(rows))
             weights[index] = (c @ row) / (row @ row)
             candidates.append(weights)
     candidates.sort(key=lambda weights: abs(abs(weights).max() - 1.0))
+    # any combination of these rows, by least squares
     candidates.append(np.asarray(np.linalg.lstsq(A.T, c, rcond=None)[0], dtype=np.float64))
     for weights in candidates:
         weights = np.where(np.abs(weights) > 1e-9 * np.abs(weights).max(), weights, 0.0)
+        # it must reproduce the row of C
         if np.abs(weights @ A - c).max() > max(10 * tolerance, 1e-9) * np.abs(c).max():
             continue
         used = np.flatnonzero(weights)
         unit = bool(np.allclose(np.abs(weights[used]), 1.0, rtol=1e-6))
+        # the direct part of an accelerometer reads the force of the input, D = Ca B
         direct = weights @ B
         agrees = bool(direct.any() and np.allclose(direct, d, rtol=1e-6, atol=1e-9 * np.abs(direct).max()))
         damped = bool(np.any(c[rows]))
         shorter = used.size < np.count_nonzero(np.abs(c) > tolerance * np.abs(c).max())
+        # accept it if D agrees, or if it is the shorter description of the row
         if agrees or (unit and (shorter or used.size == 1)) or (damped and shorter):
             return np.asarray(weights, dtype=np.float64)
     return None
@@ -436,9 +463,11 @@ def find_meters(
     """
     rate, read_at = rate.copy(), dict[str, list[tuple[int, float]]]()
     for y in range(0 if is_companion(linear.A, 1e-9) else linear.n_outputs):
+        # an accelerometer at one mass stays what it is
         if np.count_nonzero(rate[y]) == 1 and np.isclose(np.abs(rate[y]).max(), 1.0, rtol=_SAME):
             continue
         row = np.concatenate([linear.C[y], linear.D[y]])
+        # ports whose force this output reads
         read = [(p.name, scale) for p in ports if (scale := _scale(linear, row, p, parameters))]
         if len(read) == 1 and (not rate[y].any() or abs(read[0][1]) == 1.0):
             rate[y] = 0.0
@@ -446,6 +475,7 @@ def find_meters(
     found, moved = list[Port](), list(parameters)
     for port in ports:
         readings = read_at.get(port.name, [])
+        # a port with a load cell, beside the port of the mass itself
         metered = replace(port, output=row_of(linear.n_outputs, dict(readings))) if readings else port
         if readings and np.count_nonzero(port.act) == 1:
             found.append(port)
@@ -466,11 +496,13 @@ def _scale(linear: LinearModel, row: Array, port: Port, parameters: Sequence[Nom
         sum(q.value for q in parameters if q.kind == kind and q.place == port.name)
         for kind in (Stiffness.name, Damping.name)
     )
-    force = k * _sensed(port, Stiffness.name) + c * _sensed(port, Damping.name)
+    # force of spring and damper at the port, k d + c v
+    force = k * _sensor_row(port, Stiffness.name) + c * _sensor_row(port, Damping.name)
     if port.modal or not force.any() or not row.any():
         return 0.0
+    # least-squares factor between the row and that force
     scale = float(row @ force / (force @ force))
-    # entry by entry: a spring in N/m and a damper in N s/m have no common size
+    # entry by entry, since spring and damper have different units
     if np.any(np.abs(row - scale * force) > _SAME * np.maximum(np.abs(row), np.abs(scale * force))):
         return 0.0
     if abs(abs(scale) - 1.0) <= _SAME:
@@ -512,14 +544,17 @@ def read_weights(
         Empty where there are more than 60: shapes of many modes, not numbers that somebody measured.
     """
     whole = np.hstack([linear.C, linear.D])
+    # outputs without what they read of the rates
     rest = whole - rate @ np.hstack([linear.A, linear.B])
     rest[np.abs(rest) <= _LEFT * np.abs(whole)] = 0.0
+    # entries of C and D that count, but no load cells and no single gains
     mixed = np.abs(rest) > tolerance * np.abs(rest).max(axis=1, keepdims=True, initial=0.0)
     mixed[[y for port in ports for y in np.flatnonzero(port.output)]] = False
     mixed[(mixed.sum(axis=1) == 1) & mixed[:, : linear.n_states].any(axis=1)] = False
 
+    # entries of B that count, but no kinematics, single gains and plain forces
     driven = np.abs(linear.B) > tolerance * np.abs(linear.B).max(axis=0, initial=0.0)
-    driven[[item.state for item in displacements]] = False  # kinematics
+    driven[[item.state for item in displacements]] = False  # kinematic rows
     driven[:, driven.sum(axis=0) == 1] = False
     driven[:, [_enters(linear.B[:, j], ports) for j in range(linear.n_inputs)]] = False
 
@@ -530,6 +565,7 @@ def read_weights(
         ("C", rest[:, :n], mixed[:, :n]),
         ("D", rest[:, n:], mixed[:, n:]),
     ):
+        # a weight of one is no number of the plant
         for i, j in np.argwhere(which & (np.abs(np.abs(values) - 1.0) > tolerance)).tolist():
             place = f"{name}[{i},{j}]"
             found.append(NominalParameter(place, float(values[i, j]), "", Entry.name, place, False))

@@ -84,6 +84,7 @@ def is_companion(A: Array, tolerance: float = 1e-9) -> bool:
     n = A.shape[0]
     if n < 3:
         return False
+    # one column is free; the others must be a chain of ones
     for free in range(n):
         chain = np.where(np.abs(A) > tolerance, A, 0.0)
         chain[:, free] = 0.0
@@ -141,23 +142,28 @@ def find_displacements(linear: LinearModel, tolerance: float = 1e-9) -> list[Dis
         return []
     driven = (np.abs(B) > tolerance * np.maximum(np.abs(B).max(axis=0, initial=0.0), 1e-300)).any(axis=1)
     entries = [np.flatnonzero(np.abs(row) > tolerance * np.abs(row).max()) for row in A]
+    # rows with one entry and no input: x_i' = a x_j
     single = {
         i: int(entries[i][0])
         for i in range(n)
         if entries[i].size == 1 and entries[i][0] != i and not driven[i]
     }
+    # with a = 1, displacement and velocity are in the same unit
     unit = {i: j for i, j in single.items() if abs(A[i, j] - 1.0) <= 10 * tolerance}
+    # displacement and velocity of a mass
     pairs = _pairs(A, single, unit, entries)
     found: list[Displacement] = []
     for i in sorted(pairs, key=lambda i: (A[pairs[i], i] >= 0, i)):
         if all(item.moving != pairs[i] for item in found):  # else a second integral of one velocity
             found.append(Displacement(i, pairs[i], None, True, float(A[i, pairs[i]])))
     taken = {item.state for item in found}
+    # elongations: the rate is a difference of velocities
     for i in range(n):
         if i not in taken and i not in unit:
             link = _elongation(A, B[i] if driven[i] else np.zeros(0), i, entries[i], taken)
             if link is not None:
                 found.append(link)
+    # the velocity of one displacement is not a displacement itself
     moving = {state for item in found for state in item.ends}
     return sorted((item for item in found if item.state not in moving), key=lambda item: item.state)
 
@@ -169,7 +175,7 @@ def _pairs(
     pairs = _unit_pairs(unit, entries)
     velocities = set(pairs.values())
     for i, j in single.items():
-        # another unit of length (or an LC pair) is believed only if a spring acts back
+        # displacement in another unit (or an LC pair): only if a spring acts back
         chained = i in single.values() and single.get(j) != i
         if i in unit or i in velocities or j in pairs or chained or single.get(j, i) != i:
             continue
@@ -187,10 +193,11 @@ def _unit_pairs(unit: dict[int, int], entries: list[NDArray[np.intp]]) -> dict[i
     """
     pairs: dict[int, int] = {}
     for i in unit:
+        # follow the chain x_i' = x_j, x_j' = x_k, ...
         chain = [i]
         while chain[-1] in unit and unit[chain[-1]] not in chain:
             chain.append(unit[chain[-1]])
-        closed = chain[-1] in unit  # back to the start, as in an inverted pendulum at rest
+        closed = chain[-1] in unit  # closed chain, as in a linearized inverted pendulum
         if closed and len(chain) == 2:
             pairs[min(chain)] = max(chain)
         elif i not in unit.values():
@@ -209,10 +216,12 @@ def _elongation(
     """
     if i in entries or any(int(j) in taken for j in entries) or not 0 < entries.size <= 2:
         return None
+    # a spring acts back: the entries A_ij and A_ji have opposite signs
     if any(A[i, j] * A[j, i] >= 0 for j in entries):
         return None
     one = int(next((j for j in entries if A[i, j] > 0), entries[0]))
     size = float(abs(A[i, one]))
+    # one velocity state: the other end is moved by an input
     if entries.size == 1:
         if not _from_input(A, driven, i, one):
             return None
@@ -221,6 +230,7 @@ def _elongation(
     if driven.size:
         return None
     end = int(entries[entries != one][0])
+    # ratio of a gear between both ends
     ratio = float(-A[i, end] / A[i, one])
     if abs(ratio - 1.0) <= 1e-6:
         ratio = 1.0
@@ -235,7 +245,7 @@ def _from_input(A: Array, driven: Array, i: int, j: int) -> bool:
     velocity = driven[driven != 0]
     if velocity.size != 1 or not np.isclose(velocity[0], -A[i, j], rtol=1e-6):
         return False
-    # an entry of minus one that its velocity gets back is the observable form with unit gain
+    # entries -1 and 1 are an observable form with unit gain
     canonical = A[i, j] < 0 and np.isclose(A[j, i], 1.0)
     return bool(np.isclose(abs(A[i, j]), 1.0, rtol=1e-6) and not canonical)
 
@@ -268,21 +278,25 @@ def find_modes(
     A = significant(linear.A, tolerance)
     owned = {(item.state, item.moving) for item in displacements if item.absolute}
     rotating, oscillators = [], []
+    # modes are coupled pairs of states
     for block in connected((A != 0) | (A != 0).T):
         if len(block) != 2:
             continue
         i, j = block
+        # rotation block [[s, w], [-w, s]]
         spins = abs(A[i, j] + A[j, i]) <= _SAME * abs(A[i, j]) and A[i, j] * A[j, i] < 0
         if spins and abs(A[i, i] - A[j, j]) <= _SAME * abs(A[i, j]) and A[i, i] and A[j, j]:
             rotating.append((i, j))
+        # oscillator block [[0, 1], [-k, -c]]
         elif (i, j) in owned or (j, i) in owned:
             oscillators.append((i, j) if (i, j) in owned else (j, i))
-    if not _shared(linear.B.T, oscillators) or not _shared(linear.C, oscillators):
+    # oscillators are modes only if inputs and outputs share them
+    if not _share_signal(linear.B.T, oscillators) or not _share_signal(linear.C, oscillators):
         oscillators = []
     return [_mode(linear, i, j) for i, j in sorted([*rotating, *oscillators])]
 
 
-def _shared(rows: Array, blocks: Sequence[tuple[int, int]]) -> bool:
+def _share_signal(rows: Array, blocks: Sequence[tuple[int, int]]) -> bool:
     """Return whether one signal belongs to several of the blocks."""
     size = np.abs(rows) > 1e-9 * np.abs(rows).max(axis=1, keepdims=True, initial=0.0)
     return any(sum(bool(row[[i, j]].any()) for i, j in blocks) > 1 for row in size)
@@ -291,11 +305,14 @@ def _shared(rows: Array, blocks: Sequence[tuple[int, int]]) -> bool:
 def _mode(linear: LinearModel, i: int, j: int) -> Element:
     pair = [i, j]
     A, B = linear.A[np.ix_(pair, pair)], linear.B[pair]
+    # direction in which the inputs drive the pair
     drive = np.linalg.svd(B)[0][:, 0] if B.any() else np.array([0.0, 1.0])
-    across = np.array([drive[1], -drive[0]])  # what the main input drives only by way of its rate
+    across = np.array([drive[1], -drive[0]])  # displacement: the input drives it only through its rate
     across *= np.sign(across[np.argmax(np.abs(across))])
+    # displacement across that direction; its rate is the velocity
     rate = across @ A
     act = -drive / float(rate @ drive)
+    # squared frequency: determinant; 2 zeta omega: minus the trace
     square, twice = float(np.linalg.det(A)), -float(np.trace(A))
     frequency, labels = np.sqrt(square), linear.state_labels
     port = port_at(

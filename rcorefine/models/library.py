@@ -93,6 +93,7 @@ def effect_library(
     The input voltage has a dead zone: small values do nothing, and larger ones lose that much.
     """
     physical = as_physical(model, dt=dt)
+    # kinds and places to which the list is restricted
     named = _names("kinds", kinds)
     asked = None if named is None else tuple(kind_named(kind) for kind in named)
     for kind in asked or ():
@@ -106,8 +107,10 @@ def effect_library(
             raise ModelError(f"there is no place {place!r}; the places are {', '.join(physical.places)}")
         physical.entry(place)
 
+    # candidates at ports, inputs, outputs and entries of the matrices
     found = _at_ports(physical, asked) + _at_channels(physical, asked) + _at_entries(physical, asked, wanted)
     found += _products(physical, asked)
+    # parameters of a nonlinear model
     if asked is None or ModelParameter.name in asked:
         found += [Effect(q.kind, q.place) for q in physical.parameters if q.kind == ModelParameter.name]
     found = [effect for effect in found if wanted is None or effect.place in wanted]
@@ -129,8 +132,10 @@ def reads_rate(physical: PhysicalModel) -> list[bool]:
     found = []
     for y, label in enumerate(linear.output_labels):
         row = linear.C[y]
+        # outputs along the velocity of a mechanical place
         along = [p.velocity for p in motions if p.has_position and not physical.output_rate[y].any()]
         reads = any(abs(v @ row) > (1 - 1e-9) * np.linalg.norm(v) * np.linalg.norm(row) > 0 for v in along)
+        # the unit decides, then the name or the row of C
         unit = physical.output_units[y]
         found.append(unit in _OF_RATES or (not unit and (bool(_RATE.search(label)) or reads)))
     return found
@@ -144,12 +149,14 @@ def zero_entries(physical: PhysicalModel) -> list[Effect]:
     that acts on nothing may push any of them. Nothing is returned where they would be more than 20.
     """
     linear, names = physical.linear, [port.name for port in physical.ports]
+    # states that are stores: currents, temperatures, levels
     store = np.ones(linear.n_states, dtype=bool)
     for port in physical.ports:
         if port.domain in _MOTIONS and f"shunt {port.name}" not in names:
             store &= (port.velocity == 0) & (port.position == 0)
     unused = ~linear.B.any(axis=0) & ~linear.D.any(axis=0)
     moving = ~store & np.any([port.velocity != 0 for port in physical.ports] or [~store], axis=0)
+    # zero entries of C and D where a sensor reads stores, of B at stores
     reads = np.array([row.any() and store[row != 0].all() for row in linear.C], dtype=bool)[:, None]
     places = [
         f"{name}[{i},{j}]"
@@ -205,6 +212,7 @@ def _names(what: str, given: Any) -> tuple[str, ...] | None:
 
 
 def _at_ports(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effect]:
+    # laws whose signals the port senses
     candidates = [
         (port, law)
         for port in physical.ports
@@ -213,10 +221,10 @@ def _at_ports(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effe
         and not law.needs_law
         and (port.has_position or "position" not in law.needs)
         and (port.has_velocity or "velocity" not in law.needs)
-        and (law.name in asked if asked is not None else _plausible(physical, port, law))
+        and (law.name in asked if asked is not None else _is_plausible(physical, port, law))
     ]
     best: dict[Any, tuple[bool, Port]] = {}
-    for port, law in candidates:  # one of those that act alike, the one with the parameter
+    for port, law in candidates:  # of effects that act alike keep the one at the place with the parameter
         holds, key = _has_parameter(physical, port, law.belongs_to), _action(port, law)
         if key not in best or holds > best[key][0]:
             best[key] = holds, port
@@ -228,10 +236,10 @@ def _at_ports(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effe
     ]
 
 
-def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
+def _is_plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
     """Return whether this effect is plausible at this port."""
     joined = _joins(port)
-    if law.name == Gravity.name:  # of an angle in rad, by its unit or by its name
+    if law.name == Gravity.name:  # an angle in rad, by its unit or its name
         labels = [physical.linear.state_labels[i] for i in np.flatnonzero(port.position)]
         named = len(labels) == 1 and bool(_ANGLE.search(labels[0]))
         if joined or not (port.position_unit == "rad" if port.position_unit else named):
@@ -242,7 +250,7 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
         return False
     if law.of_speeds and port.kind == "first_order" and port.domain not in _MOTIONS:
         return False
-    if port.modal:  # a change of its frequency or of its damping; other laws act at places
+    if port.modal:  # modes: only stiffness and damping
         return law.name in (Stiffness.name, Damping.name)
     # a body is one mass or store rather than what joins two
     flow = law.name == ConstantForce.name and port.kind == "first_order"  # from one store to another
@@ -250,13 +258,14 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
         return False
     if port.kind == "first_order":
         return law.plausible_in_store(
-            one_way=joined and not _opposed(port.velocity),
-            between=_opposed(np.concatenate([port.velocity, port.velocity_input])),
+            one_way=joined and not _has_both_signs(port.velocity),
+            between=_has_both_signs(np.concatenate([port.velocity, port.velocity_input])),
             known_mass=_has_parameter(physical, port, Mass.name),
         )
+    # every law but a spring; springs where there is one, or between two bodies
     if law.belongs_to != Stiffness.name or joined or _has_parameter(physical, port, Stiffness.name):
         return True
-    # a spring to the ground at a mass that hangs on others is far-fetched
+    # a spring to the ground is implausible at a mass that is linked to others
     return not any(
         _joins(other) or _has_parameter(physical, other, Stiffness.name)
         for other in physical.ports
@@ -266,10 +275,10 @@ def _plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
 
 def _joins(port: Port) -> bool:
     """Return whether a force acts on two bodies or several displacements."""
-    return _opposed(port.act) or bool(np.count_nonzero(port.velocity) > 1)
+    return _has_both_signs(port.act) or bool(np.count_nonzero(port.velocity) > 1)
 
 
-def _opposed(row: Array) -> bool:
+def _has_both_signs(row: Array) -> bool:
     return bool((row > 0).any() and (row < 0).any())
 
 
@@ -294,6 +303,7 @@ def _action(port: Port, law: Law) -> tuple[Any, ...]:
 
     Of the signals that the port senses, only those that the effect takes count.
     """
+    # signals of the port that the law takes
     arrays = [port.act, port.output]
     for signal in ("position", "velocity"):
         if signal in law.senses:
@@ -305,6 +315,7 @@ def _action(port: Port, law: Law) -> tuple[Any, ...]:
 
 def _at_channels(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effect]:
     linear = physical.linear
+    # outputs that read displacements alone
     moved = np.zeros(linear.n_states, dtype=bool)
     for port in physical.ports:
         moved |= (port.position != 0) & (port.domain in _MOTIONS)
@@ -329,12 +340,14 @@ def _products(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effe
     coupling would be one.
     """
     linear, A = physical.linear, physical.linear.A
+    # stores with a port of their own
     single = [p for p in physical.ports if p.kind == "first_order" and not _joins(p) and not p.modal]
     store = np.any([p.act != 0 for p in single] or [np.zeros(len(A), dtype=bool)], axis=0)
     if asked is not None:
         store[:] = True
     elif is_companion(A, _ROUNDING):
         store[:] = False
+    # couplings between two stores, off the diagonal
     coupled = (A != 0) & store[:, None] & store & ~np.eye(len(A), dtype=bool)
     found = []
     for kind, name, there in (
@@ -358,13 +371,14 @@ def _at_entries(
         return []
     if wanted is not None:
         return [Effect(Entry.name, place) for place in wanted if place not in physical.places]
+    # entries that no port explains
     listed = [item.place for item in physical.parameters if item.kind == Entry.name]
     if asked is None:
         own = {int(np.flatnonzero(port.act)[0]) for port in physical.ports if not _joins(port)}
         # the damping of a first-order state is its diagonal entry already
         diagonal = {(state, state) for state in own}
         listed = [place for place in listed if physical.entry(place) not in diagonal]
-        if len(listed) > _MOST_ENTRIES:  # what the states do to each other goes first
+        if len(listed) > _MOST_ENTRIES:  # too many: only entries of A
             listed = [place for place in listed if place.startswith("A")]
         if len(listed) > _MOST_ENTRIES:
             return []

@@ -16,12 +16,12 @@ from .displacements import Displacement, connected, of_masses, significant
 from .masses import MassScale
 from .ports import Element, port_at
 
-_ROUNDING = 1e-3  # of the diagonal: what rounding to four digits leaves of a zero
-_MOST_GROUPED = 7  # displacements whose every grouping into bodies is tried
-_MOST_MERGED = 6  # pairs that may be one body, all choices of which are tried
+_ROUNDING = 1e-3  # share of the diagonal that is rounding in entries of four digits
+_MOST_GROUPED = 7  # most displacements for which all groupings into bodies are tried
+_MOST_MERGED = 6  # most pairs of displacements that may be one body
 _ANGLES = frozenset("th theta phi psi alpha beta gamma pitch roll yaw angle rotation".split())
 _SMALL = 1e-12
-_UNEXPLAINED = 0.01  # of a damping coupling: more than rounding leaves of what the springs' links explain
+_UNEXPLAINED = 0.01  # share of a damping coupling that links of springs must leave to count
 
 Groups = list[list[int]]
 
@@ -58,28 +58,34 @@ def find_links(
     q, v, scale = of_masses(displacements)
     labels = [linear.state_labels[i] for i in q]
     A, linked = significant(linear.A, tolerance), masses.linked[np.ix_(v, v)] | np.eye(len(v), dtype=bool)
+    # scale of each pair, the geometric mean of both masses
     heft = np.sqrt(np.outer(masses.mass[v], masses.mass[v]))
 
-    def force(X: Array) -> Array:  # the symmetric part, where masses make it symmetric
+    # accelerations times masses: forces, symmetric by action and reaction
+    def force(X: Array) -> Array:  # symmetric part within linked pairs
         X = np.asarray(-np.linalg.solve(masses.inverse[np.ix_(v, v)], X), dtype=np.float64)
-        if masses.shared:  # what is no larger than the asymmetry is rounding, too
+        if masses.shared:  # entries smaller than the asymmetry are rounding
             rounding = ((2.0 * np.abs(X - X.T) + _SMALL * np.abs(X)) / heft).max()
             X[np.abs(X) <= rounding * heft] = 0.0
         return np.where(linked, 0.5 * (X + X.T), 0.0)
 
+    # stiffness and damping matrix
     K, C = force(A[np.ix_(v, q)] * scale), force(A[np.ix_(v, v)])
+    # declared links as directions
     given = {
         name: np.array([weights.get(label, 0.0) for label in labels]) * scale
         for name, weights in declared.links.items()
         if set(weights) <= set(labels)
     }
-    directions, open_ = _directions(K, C, _alike(labels, declared.units), list(given.values()))
+    # directions of the links, then their springs and dampers
+    directions, open_ = _directions(K, C, _same_units(labels, declared.units), list(given.values()))
     springs, dampers = strengths(K, directions, open_), strengths(C, directions, open_)
     links = []
+    # each link as a port, in the unit of one of its displacements
     for g, k, c in zip(directions, springs, dampers, strict=True):
         name = next((name for name, own in given.items() if own is g), "")
         whole = int(np.argmin(np.abs(np.abs(g / scale if name else g) - 1.0)))
-        size = float(scale[whole])  # unit of the displacement that counts whole
+        size = float(scale[whole])  # unit of the displacement with weight one
         if name:
             g, k, c = g / size, size**2 * k, size**2 * c
         ends = np.flatnonzero(g).tolist()
@@ -87,6 +93,7 @@ def find_links(
         words = (
             f"{'between' if len(ends) > 1 else 'at'} {' and '.join(labels[i] for i in ends)}, d = {what}; "
         )
+        # A_ij / A_ji is the ratio of the masses
         if len(ends) == 2:
             one, two = masses.mass[[v[i] for i in ends]]
             words += f"mass ratio {two / one:.4g} from the symmetry of A; "
@@ -111,14 +118,17 @@ def _directions(
 
     Links are declared, or found in the rest of stiffness and damping.
     """
+    # links in the stiffness matrix, then in what they leave of stiffness and of damping
     found, open_ = factors(K, C, alike)
     new = [g for g in given if not any(_parallel(g, other) for other in found)]
-    # a found link inside the ends of a declared one is another reading of the same coupling
+    # a declared link replaces links found between its ends
     found = [g for g in found if not any(set(np.flatnonzero(g)) <= set(np.flatnonzero(h)) for h in given)]
+    # declared links come first
     found += given
     open_ = [body for body in open_ if not any(g[body].any() for g in new)]
     for X, Y, share in ((K, C, _UNEXPLAINED if new else 1.0), (C, K, _UNEXPLAINED)):
-        rest = X - _summed(strengths(X, found, open_), found, X)
+        # rest without links; small entries are rounding
+        rest = X - _weighted_sum(strengths(X, found, open_), found, X)
         rest[~np.eye(len(X), dtype=bool) & (np.abs(rest) <= share * np.abs(X))] = 0.0
         for body in open_:
             rest[np.ix_(body, body)] *= np.eye(len(body))
@@ -128,16 +138,17 @@ def _directions(
     return sorted(found, key=lambda g: np.flatnonzero(g).tolist()), open_
 
 
-def _summed(k: Array, directions: Sequence[Array], like: Array) -> Array:
+def _weighted_sum(k: Array, directions: Sequence[Array], like: Array) -> Array:
     """Sum of k g g' over the directions."""
     return sum((one * np.outer(g, g) for one, g in zip(k, directions, strict=True)), np.zeros_like(like))
 
 
-def _alike(labels: Sequence[str], units: Mapping[str, str]) -> NDArray[np.bool_]:
+def _same_units(labels: Sequence[str], units: Mapping[str, str]) -> NDArray[np.bool_]:
     """Return for each pair of displacements whether the units are the same.
 
     Declared units decide. Otherwise the names distinguish angles from lengths.
     """
+    # names of angles: th, phi, pitch, ...
     angle = np.array([re.split(r"[^a-z]", label.lower())[0] in _ANGLES for label in labels], dtype=bool)
     unit = np.array([units.get(label, "") for label in labels], dtype=object)
     known = unit != ""
@@ -191,11 +202,13 @@ def factors(K: Array, C: Array, alike: NDArray[np.bool_]) -> tuple[list[Array], 
     n = len(K)
     found: list[Array] = []
     open_: Groups = []
+    # each coupled group of displacements by itself
     for group in connected(couplings(K)):
         if len(group) < 2:
             continue
         part = np.ix_(group, group)
         lost: Groups = []
+        # differences, or differences with ratios; last, bodies of several displacements
         own = _differences(K[part], alike[part]) or _ratios(K[part])
         if not own:
             own, lost = between_bodies(K[part], C[part], alike[part])
@@ -212,6 +225,7 @@ def _pairs(K: Array, sizes: Array) -> list[Array]:
     found = []
     for i, j in np.argwhere(np.triu(couplings(K))):
         g = np.zeros(len(K))
+        # opposite signs pull the displacements together
         g[i], g[j] = 1.0 / sizes[i], np.sign(K[i, j]) / sizes[j]
         found.append(unit(g))
     return found
@@ -229,16 +243,17 @@ def _differences(K: Array, alike: NDArray[np.bool_]) -> list[Array]:
     coupled = couplings(K)
     if not alike[coupled].all():
         return []
+    # diagonal dominance: springs to the ground are not negative
     size = np.abs(np.diag(K))
     explained = bool((_comparison(K).sum(axis=1) >= -_ROUNDING * size).all())
-    if (K[coupled] < 0).all():  # gravity takes from the diagonal
+    if (K[coupled] < 0).all():  # gravity reduces the diagonal
         explained = explained or bool(np.linalg.eigvalsh(K)[0] < -_ROUNDING * size.max())
-    else:  # a displacement may be counted the other way; two alone may as well be heave and pitch
-        explained = explained and len(K) > 2 and _balanced(K)
+    else:  # a displacement may have the opposite sense; a single pair may be heave and pitch
+        explained = explained and len(K) > 2 and _is_balanced(K)
     return _pairs(K, np.ones(len(K))) if explained else []
 
 
-def _balanced(K: Array) -> bool:
+def _is_balanced(K: Array) -> bool:
     """Return whether sign changes can make all couplings negative.
 
     A sign change reverses the sense of a displacement. The signed Laplacian is then singular.
@@ -252,7 +267,9 @@ def _ratios(K: Array) -> list[Array]:
     size = np.diag(K)
     if (size <= 0).any():
         return []
+    # unit diagonal
     scale = 1.0 / np.sqrt(size)
+    # M x = 0: the smallest eigenvalue of the comparison matrix is zero and single
     values, vectors = np.linalg.eigh(_comparison(K) * np.outer(scale, scale))
     if abs(values[0]) > _ROUNDING or (len(K) > 2 and values[1] < 10 * _ROUNDING):
         return []
@@ -277,6 +294,7 @@ def strengths(K: Array, directions: Sequence[Array], bodies: Sequence[Sequence[i
     """
     if not len(directions):
         return np.zeros(0)
+    # linear equations K_ij = sum of k g_i g_j off the diagonal
     G = np.array(directions)
     size = np.sqrt(np.abs(np.diag(K)))
     size[size == 0] = 1.0
@@ -286,13 +304,15 @@ def strengths(K: Array, directions: Sequence[Array], bodies: Sequence[Sequence[i
     rows, columns = np.nonzero(np.triu(seen))
     weight = 1.0 / (size[rows] * size[columns])
     outer, target = (weight * G[:, rows] * G[:, columns]).T, weight * K[rows, columns]
+    # directions that the couplings cannot separate
     known = outer / (np.linalg.norm(outer, axis=0) + 1e-300)
     values, vectors = np.linalg.eigh(known.T @ known)
     mixed = np.abs(vectors[:, values < 1e-9]).max(axis=1, initial=0.0) > 1e-6
-    if mixed.any():  # two to the ground at one body: what is left on its diagonal is theirs
+    if mixed.any():  # several springs to the ground at one body: use its diagonal entries, too
         corner = np.flatnonzero(G[mixed].any(axis=0))
         outer = np.vstack([outer, (G[:, corner] ** 2 / size[corner] ** 2).T])
         target = np.append(target, K[corner, corner] / size[corner] ** 2)
+    # least squares
     k = np.asarray(np.linalg.lstsq(outer, target, rcond=1e-9)[0])
     return np.where(np.abs(k) > 1e-7 * np.abs(k).max(initial=0.0), k, 0.0)
 
@@ -313,6 +333,7 @@ def unit(g: Array) -> Array:
     g = np.where(np.abs(g) > _ROUNDING * np.abs(g).max(), g, 0.0)
     size = np.abs(g)
     entries = np.flatnonzero(size > 1e-9 * size.max())
+    # a size that occurs twice is the natural unit of the direction
     twice = [size[i] for i, j in combinations(entries, 2) if abs(size[i] / size[j] - 1.0) < _ROUNDING]
     scaled = g / (max(twice) if twice else size.max()) * np.sign(g[entries[0]])
     return np.asarray(np.where(np.abs(np.abs(scaled) - 1.0) < _ROUNDING, np.sign(scaled), scaled))
@@ -323,9 +344,10 @@ def between_bodies(K: Array, C: Array, alike: NDArray[np.bool_]) -> tuple[list[A
 
     Of all groupings of the displacements into bodies, the one that needs the fewest links is used.
     """
+    # the grouping with the fewest links; several of the same price must agree
     best: list[tuple[int, list[Array], Groups]] = []
     for groups in _groupings(K):
-        found = _between(K, C, groups, alike)
+        found = _link_bodies(K, C, groups, alike)
         if found is not None and (not best or found[0] <= best[0][0]):
             best = [found, *(old for old in best if old[0] == found[0])]
     if not best or (len(best) > 1 and not all(_same(best[0][1], other[1]) for other in best[1:])):
@@ -348,6 +370,7 @@ def _groupings(K: Array) -> Iterator[Groups]:
     if n <= _MOST_GROUPED:
         yield from _partitions(list(range(n)))
         return
+    # few displacements: all partitions; many: bodies by proportional rows of K
     coupled = couplings(K)
     joined = np.zeros((n, n), dtype=bool)
     pairs = list(combinations(range(n), 2))
@@ -380,7 +403,7 @@ def _partitions(items: list[int]) -> Iterator[Groups]:
             yield [*rest[:k], [items[0], *group], *rest[k + 1 :]]
 
 
-def _between(
+def _link_bodies(
     K: Array, C: Array, groups: Groups, alike: NDArray[np.bool_]
 ) -> tuple[int, list[Array], Groups] | None:
     """Return cost, links and open bodies of one grouping, or None.
@@ -392,6 +415,7 @@ def _between(
         block = K[np.ix_(groups[a], groups[b])]
         if not block.any():
             continue
+        # between two bodies the coupling has rank one: one link
         U, s, V = np.linalg.svd(block)
         if s.size > 1 and s[1] > _ROUNDING * s[0]:
             return None
@@ -399,20 +423,23 @@ def _between(
     share = _shares(K, groups, ends, alike)
     if share is None:
         return None
+    # subtract the links from the blocks of the bodies
     links, left = [], {a: K[np.ix_(group, group)].copy() for a, group in enumerate(groups)}
     for (a, b, u, w, k), t in zip(ends, share, strict=True):
         g = np.zeros(len(K))
         g[groups[a]], g[groups[b]] = np.sqrt(t) * u, w / np.sqrt(t)
-        links.append(_normed(g, groups[a], groups[b]))
+        links.append(_scale(g, groups[a], groups[b]))
         left[a] -= k * t * np.outer(u, u)
         left[b] -= k / t * np.outer(w, w)
     price = len(links)
     open_: Groups = []
-    rest = C - _summed(strengths(C, links, groups), links, C)
+    # damping that these links do not explain
+    rest = C - _weighted_sum(strengths(C, links, groups), links, C)
     for a, group in enumerate(groups):
         size = np.abs(K[group, group]).max()
         part = np.ix_(group, group)
-        own = _to_ground(left[a], rest[part], size, paired=len(K) > 2 or not alike[part].all())
+        # springs of each body to the ground
+        own = _ground_springs(left[a], rest[part], size, paired=len(K) > 2 or not alike[part].all())
         if own is None:
             return None
         price += own[0]
@@ -420,12 +447,13 @@ def _between(
         for direction in own[1]:
             g = np.zeros(len(K))
             g[group] = direction
-            if np.count_nonzero(np.abs(g) > _ROUNDING * np.abs(g).max()) > 1:  # else its own displacement
-                links.append(_normed(g, group, group) if len(groups) > 1 and alike[part].all() else unit(g))
+            # a single displacement has a port of its own
+            if np.count_nonzero(np.abs(g) > _ROUNDING * np.abs(g).max()) > 1:
+                links.append(_scale(g, group, group) if len(groups) > 1 and alike[part].all() else unit(g))
     return price, links, open_
 
 
-def _normed(g: Array, one: Sequence[int], two: Sequence[int]) -> Array:
+def _scale(g: Array, one: Sequence[int], two: Sequence[int]) -> Array:
     """Scale both ends of a link to length one if they are equally long.
 
     A bar is an example. Otherwise the direction is scaled by `unit`.
@@ -445,6 +473,7 @@ def _shares(
     Bodies with equally many displacements of the same unit are linked by differences: their ratio is one.
     Otherwise the couplings inside the larger body determine the ratio.
     """
+    # share of both ends in a link, 1 for bodies of the same size
     share: list[float | None] = [
         1.0 if len(groups[a]) == len(groups[b]) and alike[groups[a][0], groups[b][0]] else None
         for a, b, *_ in ends
@@ -459,6 +488,7 @@ def _shares(
         ]
         if not mine:
             continue
+        # what known links leave of the block of the body
         rest = K[np.ix_(group, group)].copy()
         for e, (one, two, u, w, s) in enumerate(ends):
             known = share[e]
@@ -468,7 +498,8 @@ def _shares(
         columns = [ends[e][4] * np.outer(v, v) for e, v in zip(mine, vectors, strict=True)]
         outer = np.array([column.ravel() for column in columns]).T
         if len(mine) >= len(group) * (len(group) + 1) // 2 or np.linalg.matrix_rank(outer, 1e-6) < len(mine):
-            return None  # nothing that could refute it
+            return None  # too few equations to test the grouping
+        # shares of the others by least squares; they must be positive and fit
         parts = np.linalg.lstsq(outer, rest.ravel(), rcond=None)[0]
         if (parts <= 0).any() or np.abs(outer @ parts - rest.ravel()).max() > _ROUNDING * np.abs(
             K[group, group]
@@ -479,22 +510,26 @@ def _shares(
     return None if any(t is None for t in share) else [t for t in share if t is not None]
 
 
-def _to_ground(K: Array, C: Array, size: float, *, paired: bool) -> tuple[int, list[Array], bool] | None:
+def _ground_springs(K: Array, C: Array, size: float, *, paired: bool) -> tuple[int, list[Array], bool] | None:
     """Return cost, directions to the ground, and whether they stay open.
 
     The result is None if springs cannot produce K.
     """
+    # stiffness to the ground has no negative eigenvalue
     values, vectors = np.linalg.eigh(K)
     if values[0] < -_ROUNDING * size:
         return None
+    # rank: number of springs to the ground
     rank = int(np.sum(values > _ROUNDING * size))
+    # diagonal: one spring at each displacement, in no other direction
     if np.abs(K - np.diag(np.diag(K))).max() <= 2 * _ROUNDING * size:
         return rank, [], False
     if rank == 1:
         return 1, [vectors[:, -1]], False
     if rank == 2 and len(K) == 2 and paired and np.abs(C).max() > 0:
-        # two springs with dampers beside them: the vectors that make both diagonal
+        # two springs with parallel dampers: vectors that diagonalize K and C
         ratios, modes = np.linalg.eig(np.linalg.solve(K, C))
         if np.isreal(ratios).all() and np.ptp(ratios.real) > 0.05 * np.abs(ratios).max():
             return 2, list(np.linalg.inv(modes.real)), False
+    # several factorizations: high price, the directions stay open
     return rank * (rank + 1) // 2 + 1, [], True

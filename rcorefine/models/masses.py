@@ -13,7 +13,7 @@ from ..systems.linear import Array, LinearModel, balance
 from .displacements import Displacement, connected, is_companion, of_masses, significant
 from .ports import row_of
 
-_LEFT = (1e-7, 2e-3)  # relative size of what is left of an equation: by arithmetic, by entries of four digits
+_LEFT = (1e-7, 2e-3)  # relative residual of an equation: rounding, entries of four digits
 _SINGULAR = 1e-6  # smallest eigenvalue of a mass matrix with ones on its diagonal
 
 
@@ -51,27 +51,33 @@ def coupled_inverse(K: Array, C: Array, B: Array, without: int) -> tuple[Array, 
     n = len(K)
     if n < 2:
         return None
-    # units of the coordinates in which the couplings are of one size
+    # units of the coordinates that balance the couplings
     d = balance(np.abs(K) + np.sqrt(np.abs(K).max(initial=0.0)) * np.abs(C))
     K, C, B = K * d / d[:, None], C * d / d[:, None], B / d[:, None]
+    # basis of the symmetric matrices W
     one, two = np.triu_indices(n)
     basis = np.zeros((one.size, n, n))
     basis[np.arange(one.size), one, two] = basis[np.arange(one.size), two, one] = 1.0
+    # linear equations: K W and C W are symmetric
     rows = np.vstack([_asymmetries(X, basis) for X in (K, C)])
     for tolerance in _LEFT:
+        # matrices W that satisfy them; an input selects one of several
         open_ = np.tensordot(_null(rows, tolerance).T, basis, axes=1)
         found = _candidates(open_, B, tolerance if len(open_) > 1 else _LEFT[-1])
         if not found and len(open_) == 1 and (W := _definite(open_[0])) is not None:
             found = [(W, -1, -1)]
         if found:
             break
+    # of all candidates, the ones with the fewest numbers in the model
     counts = [_numbers(K, C, B, W) for W, *_ in found]
     fewest = min(counts, default=(without, 1))
     found = [item for item, count in zip(found, counts, strict=True) if count == fewest]
+    # they must agree, and save numbers over separate masses
     unique = all(np.abs(other[0] - found[0][0]).max() <= 10 * tolerance for other in found)
     if not unique or fewest >= (without, 1):
         return None
     W, i, j = found[0]
+    # scale: the input is a force of unit size at its coordinate
     size = B[i, j] / (W[i, i] * d[i]) if i >= 0 else 1.0 / (W[0, 0] * d[0] ** 2)
     return abs(size) * W * d * d[:, None], i, j
 
@@ -86,6 +92,7 @@ def _candidates(open_: Array, B: Array, tolerance: float) -> list[tuple[Array, i
     for j, b in enumerate(B.T):
         size = np.linalg.norm(b)
         for i in range(len(b)) if size else ():
+            # the column of W at coordinate i must be parallel to that of the input
             across = np.eye(len(b)) - np.outer(b, b) / size**2
             left = _null(across @ open_[:, :, i].T, tolerance)
             W = _definite(np.tensordot(left[:, 0], open_, axes=1)) if left.shape[1] == 1 else None
@@ -96,6 +103,7 @@ def _candidates(open_: Array, B: Array, tolerance: float) -> list[tuple[Array, i
 
 def _null(rows: Array, tolerance: float) -> Array:
     """Directions that rows of size one say nothing about."""
+    # null space by singular values
     _, s, right = np.linalg.svd(rows)
     rank = int(np.count_nonzero(s > tolerance))
     return np.asarray(right[rank:].T)
@@ -106,12 +114,13 @@ def _asymmetries(X: Array, basis: Array) -> Array:
 
     There is one equation per pair of coordinates. Empty equations are left out.
     """
+    # (X W - W' X') above the diagonal
     products = X @ basis
     upper = np.triu_indices(len(X), 1)
     rows = (products - products.transpose(0, 2, 1))[:, upper[0], upper[1]].T
     size = np.linalg.norm(rows, axis=1)
-    told = size > 1e-9 * size.max(initial=0.0)
-    return np.asarray(rows[told] / size[told, None])
+    nonzero = size > 1e-9 * size.max(initial=0.0)
+    return np.asarray(rows[nonzero] / size[nonzero, None])
 
 
 def _numbers(K: Array, C: Array, B: Array, W: Array) -> tuple[int, int]:
@@ -119,30 +128,34 @@ def _numbers(K: Array, C: Array, B: Array, W: Array) -> tuple[int, int]:
 
     The second value is 1 if stiffness or damping couples coordinates.
     """
+    # mass matrix, and units in which its diagonal is one
     M: Array = np.asarray(np.linalg.inv(W), dtype=np.float64)
     size = np.sqrt(np.diag(M))
 
-    def told(X: Array, across: Array | float) -> NDArray[np.bool_]:
+    def large(X: Array, across: Array | float) -> NDArray[np.bool_]:
         X = np.asarray(np.abs(X) / size[:, None] / across)
         return np.asarray(X > _LEFT[-1] * X.max(initial=1e-300))
 
-    mass, spring, damper, force = told(M, size), told(M @ K, size), told(M @ C, size), told(M @ B, 1.0)
+    # entries that count in M, stiffness, damping and force
+    mass, spring, damper, force = large(M, size), large(M @ K, size), large(M @ C, size), large(M @ B, 1.0)
     count = sum(np.count_nonzero(np.triu(X)) for X in (mass, spring, damper)) + np.count_nonzero(force)
-    return int(count) - 1, int(np.triu(spring | damper, 1).any())  # one is the unit of the masses
+    return int(count) - 1, int(np.triu(spring | damper, 1).any())  # one less for the unit of the masses
 
 
 def _definite(W: Array) -> Array | None:
     """A matrix of unit size that is positive definite, else None."""
+    # positive trace, largest entry one
     W = W * np.sign(np.trace(W)) / np.abs(W).max()
     if (np.diag(W) <= _SINGULAR**2).any():
         return None
+    # positive definite with a unit diagonal
     size = np.sqrt(np.diag(W))
     if np.linalg.eigvalsh(W / size / size[:, None])[0] < _SINGULAR:
         return None
     return np.asarray(W)
 
 
-_ASYMMETRY = 0.05  # ratios that differ by more are not those of one set of masses
+_ASYMMETRY = 0.05  # misfit of log mass ratios up to which one set of masses explains them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,21 +222,26 @@ def relative_masses(
         Masses, links and the base input.
     """
     A, labels = linear.A, linear.state_labels
+    # log ratios of the masses of coupled pairs
     ratios = _ratios(A, displacements, tolerance)
     velocities = {state for item in displacements for state in item.ends}
     taken = velocities | {item.state for item in displacements}
     stores = [i for i in range(linear.n_states) if i not in taken]
+    # stores that exchange something: capacities in place of masses
     for i, j in exchanging(A, stores, tolerance):
-        if A[i, j] > 0:  # both ways: capacities, like masses, make it symmetric
+        if A[i, j] > 0:  # exchange in both directions: capacities make it symmetric, like masses
             ratios[i, j] = float(np.log(A[i, j] / A[j, i]))
+    # masses of each connected group up to a common factor
     logs, linked = _solve(linear.n_states, ratios)
     base = np.zeros(linear.n_inputs)
-    if velocities:  # -1 on every velocity state and 0 elsewhere
+    if velocities:  # base excitation: -1 on every velocity state and 0 elsewhere
         pattern = row_of(linear.n_states, dict.fromkeys(velocities, -1.0))[:, None]
         base = np.isclose(linear.B, pattern, rtol=0, atol=1e-9).all(axis=0).astype(float)
+    # factor: a declared mass, or an input that drives one velocity alone
     anchors = _anchors(linear, base, tolerance)
     anchors |= {state: (size, -1, "what was declared") for state, size in declared.items()}
     mass, origin = np.ones(linear.n_states), [f"forces are per unit mass of {label}" for label in labels]
+    # scale each group by its anchor
     for members in connected(linked):
         known = [state for state in members if state in anchors and (state in velocities or state in stores)]
         anchor = min(known, key=lambda state: anchors[state][1]) if known else members[0]
@@ -235,6 +253,7 @@ def relative_masses(
                 origin[state] = f"mass {mass[state]:.4g} from {source}"
                 origin[state] += " and the symmetry of A" if state != anchor else ""
     scale = MassScale(np.diag(1.0 / mass), origin, linked, base)
+    # coordinates may share inertia (cart and pendulum)
     if all(item.absolute and item.moving not in declared for item in displacements):
         _share_inertia(linear, displacements, scale, tolerance)
     return scale
@@ -249,18 +268,21 @@ def _share_inertia(
     """
     A, labels = significant(linear.A, tolerance), linear.state_labels
     q, v, scale = of_masses(displacements)
+    # accelerations by displacements and velocities
     K, C = A[np.ix_(v, q)] * scale, A[np.ix_(v, v)]
     linked, mass = masses.linked[np.ix_(v, v)], masses.mass[v][:, None]
-    told, explained = 0, np.ones((len(v), len(v)), dtype=bool)
+    count, explained = 0, np.ones((len(v), len(v)), dtype=bool)
     for X in (K, C):
+        # couplings that separate masses make symmetric
         force = mass * X
         link = linked & (np.abs(force - force.T) <= _ASYMMETRY * np.abs(force))
         explained &= link | (X == 0) | np.eye(len(v), dtype=bool)
-        told += int(np.count_nonzero(X)) - int(np.count_nonzero(np.triu(link & (X != 0), 1)))
+        count += int(np.count_nonzero(X)) - int(np.count_nonzero(np.triu(link & (X != 0), 1)))
     if explained.all():
         return
-    told += int(np.count_nonzero(significant(linear.B, tolerance)[v])) + len(v) - len(connected(linked))
-    found = coupled_inverse(K, C, linear.B[v], told)
+    count += int(np.count_nonzero(significant(linear.B, tolerance)[v])) + len(v) - len(connected(linked))
+    # else an inverse mass matrix with couplings
+    found = coupled_inverse(K, C, linear.B[v], count)
     if found is None:
         return
     W, i, j = found
@@ -296,11 +318,12 @@ def exchanging(A: Array, states: Sequence[int], tolerance: float) -> list[tuple[
     if is_companion(A, tolerance):
         return []
     A = significant(A, tolerance)
-    # what flows in comes from others, what is there only flows out
+    # positive couplings from other stores, a negative rate of its own
     stores = [i for i in states if A[i, i] < 0 and all(A[i, j] >= 0 for j in states if j != i)]
     found = []
     for i, j in combinations(stores, 2):
         if A[i, j] > 0 and A[j, i] > 0:
+            # no store gets more than the other one loses
             if A[i, j] <= -A[i, i] * (1 + 1e-6) and A[j, i] <= -A[j, j] * (1 + 1e-6):
                 found.append((i, j))
         elif A[j, i] > 0:
@@ -321,16 +344,19 @@ def _ratios(
 
     q, v, scale = of_masses(displacements)
     K, C = A[np.ix_(v, q)], A[np.ix_(v, v)]
+    # couplings that count, relative to the row
     sprung = np.abs(K) > tolerance * np.abs(K).max(axis=1, keepdims=True, initial=0.0)
     for i, j in combinations(range(len(v)), 2):
         if sprung[i, j] != sprung[j, i]:
             continue  # one-way coupling is not a link
-        # no spring between them: a damper tells the same ratio
+        # without a spring the damper gives the ratio
         forth, back = (K[i, j] * scale[j], K[j, i] * scale[i]) if sprung[i, j] else (C[i, j], C[j, i])
+        # A_ij / A_ji = m_j / m_i
         if forth * back > 0:
             enter(v[i], v[j], forth / back)
     for item in displacements:
         if not item.absolute and item.moving is not None and item.other is not None:
+            # elongation as a state: ratio of the reactions at both ends
             ratio = -item.ratio * A[item.moving, item.state] / A[item.other, item.state]
             enter(item.moving, item.other, ratio)
     return found
@@ -348,13 +374,14 @@ def _solve(n: int, ratios: dict[tuple[int, int], float]) -> tuple[Array, NDArray
         one, two = np.array(list(kept)).T
         each = np.arange(len(kept))
         rows[each, one], rows[each, two] = -1.0, 1.0
+        # least squares for the logarithms of the masses
         logs = np.linalg.lstsq(rows, target, rcond=None)[0]
         misfit = np.abs(rows @ logs - target)
         worst = float(misfit.max())
         if worst <= _ASYMMETRY:
             linked[one, two] = linked[two, one] = True
             break
-        # a single loop cannot tell which of its links is at fault: equals go together
+        # drop the worst pairs; equally bad ones of a loop together
         limit = worst * (1.0 - 1e-6 if len(kept) <= 200 else 0.9)
         kept = {pair: kept[pair] for pair, off in zip(kept, misfit, strict=True) if off < limit}
     return logs, linked
@@ -366,6 +393,7 @@ def _anchors(linear: LinearModel, base: Array, tolerance: float) -> dict[int, tu
     Exactly one input drives such a state, and that input drives no other state.
     """
     driven = np.abs(linear.B) > tolerance * np.abs(linear.B).max(axis=0, initial=0.0, keepdims=True)
+    # one input, one velocity: 1/m is the entry of B
     own = (driven.sum(axis=1) == 1)[:, None] & (driven.sum(axis=0) == 1) & (base == 0) & driven
     return {
         i: (float(1.0 / abs(linear.B[i, j])), j, f"the input {linear.input_labels[j]}")

@@ -18,7 +18,7 @@ from ..exceptions import ConversionWarning, DataError, ModelError, warn
 from ..systems.linear import Array
 
 _SENSORS = ("displacement", "velocity", "acceleration")
-_NORMAL, _COMPLEX = 2, (3, 7)  # what an analysis of type 55 was
+_NORMAL, _COMPLEX = 2, (3, 7)  # codes of the analysis in data sets of type 55
 _DEGREE = re.compile(r"(\d+):([+-]?[1-6])")
 
 
@@ -106,6 +106,7 @@ def modal_model(
     ...     assert np.allclose(abs(plate.poles()), 2 * np.pi * 12.5)
     """
     path = as_path(path)
+    # degrees of freedom of inputs and outputs
     wanted = [as_texts(inputs, "inputs"), () if outputs is None else as_texts(outputs, "outputs")]
     for what, names in zip(("inputs", "outputs"), wanted, strict=True):
         if len(set(names)) < len(names):
@@ -113,6 +114,7 @@ def modal_model(
     as_choice(sensors, "sensors", _SENSORS)
     if name is not None:
         as_text(name, "name", empty=False)
+    # modal masses of the user, in the order of the file
     masses = None if modal_mass is None else as_vector(modal_mass, "modal_mass", above=0.0, error=ModelError)
     sets = read_uff_modes(path)
     if masses is not None:
@@ -121,9 +123,11 @@ def modal_model(
                 f"modal_mass holds {masses.size} numbers for the {len(sets)} modes of {path}"
             )
         masses = np.broadcast_to(masses, len(sets))
+    # pole, scale and shape of each mode, then by frequency
     with damaged(path):
         modes = [_mode(path, k, one, masses) for k, one in enumerate(sets)]
     modes.sort(key=lambda mode: abs(mode.pole))
+    # outputs: all degrees of freedom that move
     if outputs is None:
         wanted[1] = tuple(k for k in modes[0].shape if any(mode.shape.get(k) for mode in modes))
     for label in (*wanted[0], *wanted[1]):
@@ -136,10 +140,12 @@ def modal_model(
         )
     with damaged(path):
         blocks = [_block(mode, *wanted) for mode in modes]
+    # modes are decoupled: block diagonal A
     A = block_diag(*(block[0] for block in blocks))
     B = np.vstack([block[1] for block in blocks])
     C = np.hstack([block[2] for block in blocks])
     D = np.zeros((len(C), B.shape[1]))
+    # velocity: y' = C A x + C B w; acceleration: once more
     for _ in range(_SENSORS.index(sensors)):
         C, D = C @ A, C @ B
     states = [f"mode{k + 1}{rate}" for k in range(len(modes)) for rate in ("", "_rate")]
@@ -150,6 +156,7 @@ def modal_model(
 def _mode(path: Any, k: int, one: dict[str, Any], masses: Array | None) -> _Mode:
     """Pole, scale and shape of a data set."""
     here = f"{path}, mode {one.get('mode_n', k + 1)}"
+    # shape: one complex value for each degree of freedom
     shape = {
         f"{node}:{way}": complex(value)
         for way in range(1, 7)
@@ -160,11 +167,13 @@ def _mode(path: Any, k: int, one: dict[str, Any], masses: Array | None) -> _Mode
         raise DataError(f"{here} has no shape: it moves nowhere")
     kind = int(one["analysis_type"])
     if kind in _COMPLEX:
-        pole, scale, said = complex(one["eig"]), complex(one["modal_a"]), "modal a"
+        # complex mode: the pole in the upper half-plane, with its shape
+        pole, scale, what = complex(one["eig"]), complex(one["modal_a"]), "modal a"
         if pole.imag < 0:
             pole, scale = pole.conjugate(), scale.conjugate()
             shape = {degree: value.conjugate() for degree, value in shape.items()}
     else:
+        # normal mode: frequency and damping ratio
         w, ratio, loss = (float(one[key]) for key in ("freq", "modal_damp_vis", "modal_damp_his"))
         if not ratio and loss:
             warn(
@@ -175,15 +184,16 @@ def _mode(path: Any, k: int, one: dict[str, Any], masses: Array | None) -> _Mode
         w, ratio = 2.0 * np.pi * w, ratio or loss / 2.0
         if any(abs(value.imag) > 1e-6 * abs(value) for value in shape.values()):
             raise DataError(f"{here} is a normal mode, but its shape is complex; export it as a complex mode")
+        # s = -z w + i w sqrt(1 - z^2)
         pole = complex(-ratio * w, w * np.sqrt(max(1.0 - ratio**2, 0.0)))
-        scale, said = complex(one["modal_m"]), "modal mass"
+        scale, what = complex(one["modal_m"]), "modal mass"
     if not np.isfinite([pole, scale]).all() or (kind in _COMPLEX and not pole) or pole.real > 0:
-        raise DataError(f"{here}: pole {pole:.4g} rad/s with {said} {scale:.4g} is no damped mode")
-    if masses is not None:  # of a mode of unit rate: a = 2 i w m
+        raise DataError(f"{here}: pole {pole:.4g} rad/s with {what} {scale:.4g} is no damped mode")
+    if masses is not None:  # modal a of a complex mode: 2 i w m
         scale = complex(masses[k]) * (2j * pole.imag if kind in _COMPLEX else 1.0)
     if not scale:
         raise ModelError(
-            f"{here} has no {said} in the file, and shapes alone do not say how large a response is; give "
+            f"{here} has no {what} in the file, and shapes alone do not say how large a response is; give "
             "modal_mass= (1 for shapes that are scaled to unit modal mass)"
         )
     return _Mode(pole, scale, shape, kind == _NORMAL)
@@ -203,6 +213,7 @@ def _block(mode: _Mode, inputs: Sequence[str], outputs: Sequence[str]) -> tuple[
 
     Its states are displacement and rate (normal mode), or real and imaginary part (complex mode).
     """
+    # shape at inputs and outputs, with the sign of the direction
     drive, sense = (
         np.array(
             [
@@ -214,8 +225,10 @@ def _block(mode: _Mode, inputs: Sequence[str], outputs: Sequence[str]) -> tuple[
     )
     drive = drive / mode.scale
     s = mode.pole
+    # normal mode: q'' + 2 z w q' + w^2 q = drive w
     if mode.normal:
         A, B = np.array([[0.0, 1.0], [-(abs(s) ** 2), 2.0 * s.real]]), drive.real
         return A, np.vstack([0.0 * B, B]), np.column_stack([sense.real, 0.0 * sense.real])
+    # complex mode: real and imaginary part of q' = s q + drive w
     A = np.array([[s.real, -s.imag], [s.imag, s.real]])
     return A, np.vstack([drive.real, drive.imag]), 2.0 * np.column_stack([sense.real, -sense.imag])

@@ -57,6 +57,7 @@ def as_operating_point(given: Any, linear: LinearModel) -> OperatingPoint:
     control.ControlArgument
         If a value is no finite number.
     """
+    # parts: inputs, states, outputs
     parts = dict(as_mapping(given, "operating_point", "values"))
     labels = {"inputs": linear.input_labels, "states": linear.state_labels, "outputs": linear.output_labels}
     for key in parts:
@@ -66,6 +67,7 @@ def as_operating_point(given: Any, linear: LinearModel) -> OperatingPoint:
         if key not in parts and labels[key]:
             raise ModelError(f"operating_point lacks {key!r}: {', '.join(labels[key])}")
     inputs, states = (_values(key, parts.get(key, ()), labels[key]) for key in ("inputs", "states"))
+    # outputs of the linear model at the point, unless given
     outputs = linear.C @ states + linear.D @ inputs
     if "outputs" in parts:
         outputs = _values("outputs", parts["outputs"], labels["outputs"])
@@ -74,6 +76,7 @@ def as_operating_point(given: Any, linear: LinearModel) -> OperatingPoint:
 
 def _values(what: str, given: Any, labels: Sequence[str]) -> Array:
     name = f"{what} of operating_point"
+    # numbers in order, or by name
     if not isinstance(given, Mapping):
         return as_vector(given, name, len(labels)) if labels else np.zeros(0)
     for label in given:
@@ -117,8 +120,10 @@ def ordered_record(model: PhysicalModel, data: Any) -> Any:
 
     A frequency response becomes a record of its points.
     """
+    # frequency response: nothing to subtract
     if in_frequency(data):
         return data if isinstance(data, ResponseRecord) else ResponseRecord.of(data, model.linear)
+    # time record: channels in the order of the model
     data = completed(model, data)
     record = record_for(data, match_channels(model.linear, data))
     point = model.operating_point
@@ -126,8 +131,9 @@ def ordered_record(model: PhysicalModel, data: Any) -> Any:
         return record
     known = [record.output_labels[i] for i in range(record.n_outputs)]
     outputs = point.outputs
-    if len(known) < outputs.size:  # some were not measured
+    if len(known) < outputs.size:  # some outputs were not measured
         outputs = outputs[[model.linear.output_labels.index(label) for label in known]]
+    # deviations from the operating point
     return record.deviation(point.inputs, outputs)
 
 
@@ -137,6 +143,7 @@ def start_above(model: PhysicalModel, x0: Any) -> Array | None:
     None means that the initial state is estimated.
     """
     start = as_state(x0, model.linear.n_states)
+    # zero and an estimate are deviations already
     if start is None or isinstance(x0, str) or model.operating_point is None:
         return start
     return start - model.operating_point.states
@@ -148,6 +155,7 @@ def sensed(model: PhysicalModel, place: str, states: Array, inputs: Array) -> tu
     `states` and `inputs` are deviations from the operating point.
     """
     port, point = model.port(place), model.operating_point
+    # a port senses absolute values
     x = states[: port.act.size]
     if point is not None:
         x, inputs = x + point.states[:, None], inputs + point.inputs[:, None]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .physical_model import PhysicalModel
 
 
-# what people write instead of the quotient
+# usual names of derived units
 _ALIASES = {
     "N s^2/m": "kg",
     "W s/K": "J/K",
@@ -35,8 +35,8 @@ _ALIASES = {
     "N m s^2/rad": "kg m^2",
 }
 _FACTOR = re.compile(r"([^\s^*/()]+)(?:\^(-?\d+(?:\.\d+)?))?")
-_OWN = 1e-6  # share of what a number does that none before it does, below which it is none of its own
-_POINTS = 4  # in the complex plane for each state
+_OWN = 1e-6  # share of the influence of a parameter below which it is redundant
+_POINTS = 4  # evaluation points in the complex plane per state
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +92,7 @@ def rate_at(A: Array, act: Array, velocity: Array) -> float:
         The natural frequency of a mass on its springs, or the damping rate where that is larger. The same in
         all units of the states. It is 0 if nothing brings back what the force moves.
     """
+    # rate at which the velocity decays, and square root of the spring's: v A act, v A^2 act
     moved, once = float(velocity @ act), A @ act
     if moved == 0.0:
         return 0.0
@@ -120,6 +121,7 @@ def natural_size(model: PhysicalModel, q: NominalParameter) -> float:
     rate = rate_at(model.linear.A, port.act, port.velocity)
     if not rate:
         return 0.0
+    # 1/m is the velocity per force; critical damping 2 m omega, stiffness m omega^2
     return (2.0 * rate if q.kind == Damping.name else rate**2) / abs(float(port.velocity @ port.act))
 
 
@@ -148,6 +150,7 @@ def combine_units(rule: str, units: Mapping[str, str]) -> str:
     >>> combine_units("force/velocity", {"force": "V", "velocity": "A"})
     'Ohm'
     """
+    # exponents of the base units: product of the factors
     powers: dict[str, float] = {}
     for name, power in parse_unit(rule).items():
         unit = units.get(name, name)
@@ -164,7 +167,8 @@ def parse_unit(text: str) -> dict[str, float]:
     powers: dict[str, float] = {}
     for match in _FACTOR.finditer(text):
         base, exponent = match.group(1), float(match.group(2) or 1)
-        opening = text.rfind("(", 0, match.start())  # of a parenthesis that may follow a slash
+        # a slash before a parenthesis divides all that is inside
+        opening = text.rfind("(", 0, match.start())  # opening parenthesis, perhaps after a slash
         inside = opening > 0 and ")" not in text[opening : match.start()]
         divided = any(text[:at].rstrip().endswith("/") for at in (match.start(), *[opening] * inside))
         if base != "1":
@@ -185,7 +189,7 @@ def _format(powers: Mapping[str, float]) -> str:
     return f"{upper or '1'}/{below}" if lower else upper or "1"
 
 
-@lru_cache(maxsize=8)  # by identity: every fit of a model asks for them
+@lru_cache(maxsize=8)  # cached by identity, since every fit of a model needs them
 def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]:
     """Return the parameters of a model without the redundant ones.
 
@@ -203,21 +207,24 @@ def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]
         input all of whose weights are free: judged by what they change in the transfer function.
     """
     entries = {q.name: entry_of(model.linear, q.place) for q in model.parameters if q.kind == Entry.name}
+    # redundancy arises only with entries of B, C and D
     if not any(max(entry) >= model.linear.n_states for entry in entries.values()):
         return model.parameters
     responses = _Responses(model)
     basis: list[Array] = []
     found = []
     for q in model.parameters:
-        if KINDS[q.kind].inertial:  # where gains are it stays: it may not stand in for what floats
+        if KINDS[q.kind].inertial:  # masses are never free beside gains and must not replace free parameters
             found.append(q)
             continue
         column = responses.change(q)
         size = float(np.linalg.norm(column))
-        for _ in range(2):  # twice: the first projection leaves rounding of what it takes away
+        # Gram-Schmidt orthogonalization
+        for _ in range(2):  # twice, against rounding
             for known in basis:
                 column = column - (known @ column) * known
         left = float(np.linalg.norm(column))
+        # the part that no parameter before it explains
         if left > _OWN * size:
             basis.append(column / left)
             found.append(q)
@@ -232,12 +239,14 @@ class _Responses:
 
     def __init__(self, model: PhysicalModel) -> None:
         linear, self.model = model.linear, model
+        # points in the complex plane around the poles
         n = linear.n_states
         sizes = np.abs(np.linalg.eigvals(linear.A))
         low, high = sizes[sizes > 0].min(initial=np.inf), sizes.max(initial=0.0)
         low, high = (low, high) if high > 0 else (1.0, 1.0)
         s = np.geomspace(0.1 * low, 10 * high, _POINTS * (n + 1)) * np.exp(1j * np.pi / 3)
         away = [at * np.eye(n) - linear.A for at in s]
+        # (s I - A)^-1 B and C (s I - A)^-1
         states = np.array([np.linalg.solve(M, linear.B) for M in away])  # (k, n, n_w): of the inputs
         read = np.array([np.linalg.solve(M.T, linear.C.T).T for M in away]) + model.output_rate
         ones = np.ones((s.size, 1, 1))
@@ -245,11 +254,12 @@ class _Responses:
         self.inputs = np.concatenate([states, ones * np.eye(linear.n_inputs)], axis=1)
         self.whole = linear.C @ states + linear.D
         size = np.sqrt(np.mean(np.abs(self.whole) ** 2, axis=0))
-        self.scale = 1.0 / np.where(size > 0, size, np.inf)  # each way through the plant counts alike
+        self.scale = 1.0 / np.where(size > 0, size, np.inf)  # all channels count equally
 
     def change(self, q: NominalParameter) -> NDArray[np.float64]:
         """By a relative change of one number, real and imaginary parts in a row."""
         linear = self.model.linear
+        # a gain scales the column of its input
         if q.kind == InputGain.name:
             changed = self.whole * (np.array(linear.input_labels) == q.place)
         else:
@@ -262,6 +272,7 @@ class _Responses:
                 d = (port.position, port.position_input) if spring else (port.velocity, port.velocity_input)
                 felt = port.output if port.output.size else np.zeros(linear.n_outputs)
                 act, sense = np.concatenate([port.act, felt]), np.concatenate(d)
+            # dG = C (s I - A)^-1 act * sense (s I - A)^-1 B
             changed = (q.value or 1.0) * (self.outputs @ act)[:, :, None] * (sense @ self.inputs)[:, None, :]
         flat = (changed * self.scale).reshape(-1)
         return np.concatenate([flat.real, flat.imag])

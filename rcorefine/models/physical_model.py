@@ -78,15 +78,19 @@ class PhysicalModel(Result):
     displacement q, velocity v; mass 0.5 from the input u[0]
     """
 
+    # matrices, and the split of the outputs
     linear: LinearModel
     output_state: Array
     output_rate: Array
     output_input: Array
+    # places and parameters
     ports: tuple[Port, ...]
     parameters: tuple[NominalParameter, ...] = ()
+    # units
     input_units: tuple[str, ...] = ()
     output_units: tuple[str, ...] = ()
     state_units: tuple[str, ...] = ()
+    # how the model is driven and simulated
     hold: str | None = None
     operating_point: OperatingPoint | None = None
     controller: JoinedController | None = None
@@ -100,6 +104,7 @@ class PhysicalModel(Result):
                 f"model {linear.name!r} has dt = {linear.dt}, but a physical model is in continuous time; "
                 "use PhysicalModel.from_statespace, which converts it"
             )
+        # sizes, sum of the output parts, places
         _check_sizes(self)
         _check_outputs(self)
         _check_places(self)
@@ -222,6 +227,7 @@ class PhysicalModel(Result):
         for port in self.ports:
             if port.name == name:
                 return port
+        # an entry of A or B serves as a place, too
         if name[:2] in ("A[", "B["):
             return self._port_of_entry(name)
         known = ", ".join(port.name for port in self.ports) or "none"
@@ -236,6 +242,7 @@ class PhysicalModel(Result):
         row, column = self.entry(place)
         n, unit = self.linear.n_states, np.eye(self.linear.n_states + self.linear.n_inputs)
         units = (*self.state_units, *self.input_units)
+        # displacement of the mass whose rate the entry changes
         alone = (p for p in self.ports if p.has_position and (np.flatnonzero(p.act) == [row]).all())
         moved = next(alone, None)
         return Port(
@@ -296,9 +303,11 @@ class PhysicalModel(Result):
             displacement).
         """
         _check_type(effect)
+        # laws with places of their own, such as entries
         where = effect.spec.where
         if effect.spec.sits(self, effect.place):
             return effect
+        # laws at inputs and outputs
         for channel, labels in (("input", self.linear.input_labels), ("output", self.linear.output_labels)):
             if channel in where:
                 if effect.place not in labels:
@@ -307,6 +316,7 @@ class PhysicalModel(Result):
                         f"{', '.join(labels)}"
                     )
                 return effect
+        # laws at ports: the kind must fit, and the signals must be there
         port = self.port(effect.place)
         if port.kind not in where:
             raise ModelError(
@@ -340,17 +350,20 @@ class PhysicalModel(Result):
             )
         rule = effect.spec.coefficient(coefficient).unit_rule
         if not rule:
-            return ""  # a custom law's own
+            return ""  # the unit of a custom law is unknown
         where = effect.spec.where
+        # entry of the matrices: unit of its row over that of its column
         if effect.kind == Entry.name:
             row, column = self.entry(effect.place)
             units = {"row": (*self.state_units, *self.output_units)[row]}
             units["column"] = (*self.state_units, *self.input_units)[column]
             return combine_units("row/(column s)" if row < self.linear.n_states else "row/column", units)
+        # channel: unit of the signal
         for channel in ("input", "output"):
             if channel in where:
                 index = getattr(self.linear, f"{channel}_labels").index(effect.place)
                 return combine_units(rule, {"signal": getattr(self, f"{channel}_units")[index]})
+        # port: units of position, velocity and force
         return combine_units(rule, self.port(effect.place).units)
 
 
@@ -361,12 +374,14 @@ def _check_type(effect: Any) -> None:
 
 def _check_sizes(model: PhysicalModel) -> None:
     """Bring arrays and units of a model under construction into shape."""
+    # names that python-control accepts
     linear, store = model.linear, object.__setattr__
     for name in (linear.name, *linear.input_labels, *linear.output_labels, *linear.state_labels):
         if "." in name:
             raise ModelError(
                 f"python-control allows no '.' in a name; {name!r} can be {name.replace('.', '_')!r}"
             )
+    # read-only arrays of the right shape
     for key, width in (
         ("output_state", linear.n_states),
         ("output_rate", linear.n_states),
@@ -377,6 +392,7 @@ def _check_sizes(model: PhysicalModel) -> None:
             raise ct.ControlDimension(f"{key} has shape {array.shape}, expected {(linear.n_outputs, width)}")
         array.setflags(write=False)
         store(model, key, array)
+    # one unit for each signal, empty where unknown
     for what, size in (("input", linear.n_inputs), ("output", linear.n_outputs), ("state", linear.n_states)):
         units = as_texts(getattr(model, f"{what}_units"), f"{what}_units") or ("",) * size
         if len(units) != size:
@@ -394,6 +410,7 @@ def _check_outputs(model: PhysicalModel) -> None:
     linear = model.linear
     for name, key, other in (("C", "output_state", "A"), ("D", "output_input", "B")):
         whole, direct = getattr(linear, name), getattr(model, key)
+        # C = output_state + output_rate A, D = output_input + output_rate B
         rate = model.output_rate @ getattr(linear, other)
         scale = np.abs(whole) + np.abs(direct) + np.abs(rate)
         limit = 1e-9 * scale.max(axis=1, keepdims=True, initial=0.0)
@@ -410,11 +427,13 @@ def _check_places(model: PhysicalModel) -> None:
 
     Ports that were made without inputs get rows of the right length.
     """
-    ports = tuple(_fitted(port, model.linear) for port in model.ports)
+    # rows of the ports have the sizes of the model
+    ports = tuple(_complete_port(port, model.linear) for port in model.ports)
     object.__setattr__(model, "ports", ports)
     for item in model.parameters:
         if not hasattr(item, "kind") or not hasattr(item, "place"):
             raise ct.ControlArgument(f"parameters must hold NominalParameter, not {shown(item)}")
+    # names are unique
     for what, items in (("port", ports), ("parameter", model.parameters)):
         labels = Counter(item.name for item in items)
         twice = sorted(label for label, count in labels.items() if count > 1)
@@ -422,7 +441,7 @@ def _check_places(model: PhysicalModel) -> None:
             raise ModelError(f"{what} names must be unique, but {twice[0]!r} occurs more than once")
 
 
-def _fitted(port: Any, linear: LinearModel) -> Port:
+def _complete_port(port: Any, linear: LinearModel) -> Port:
     if not isinstance(port, Port):
         raise ct.ControlArgument(f"ports must hold Port, not {type(port).__name__}")
     sizes = port.act.size, port.velocity_input.size, port.output.size
@@ -440,5 +459,6 @@ def _fitted(port: Any, linear: LinearModel) -> Port:
         raise ct.ControlDimension(
             f"port {port.name!r} is for {sizes[1]} inputs, the model has {linear.n_inputs}"
         )
+    # ports without inputs get zero rows
     none = np.zeros(linear.n_inputs)
     return replace(port, position_input=none, velocity_input=none, acceleration_input=none)

@@ -80,18 +80,22 @@ class Port(Row):
     False
     """
 
+    # name and rows over the states
     name: str
     kind: str
     act: Array
     position: Array
     velocity: Array
+    # rows over the inputs, zero by default
     position_input: Array = ()  # type: ignore[assignment]
     velocity_input: Array = ()  # type: ignore[assignment]
     acceleration_input: Array = ()  # type: ignore[assignment]
+    # units and words
     position_unit: str = ""
     velocity_unit: str = ""
     force_unit: str = ""
     description: str = ""
+    # modes, and sensors that read the force at once
     modal: bool = False
     output: Array = ()  # type: ignore[assignment]
 
@@ -105,10 +109,12 @@ class Port(Row):
             raise ModelError(
                 f"kind of port {self.name!r} must be 'mechanical' or 'first_order', not {self.kind!r}"
             )
+        # rows as vectors, read-only
         arrays = {
             key: as_array(getattr(self, key), f"{key} of port {self.name!r}", error=ModelError).reshape(-1)
             for key in (*_ARRAYS, "output")
         }
+        # inputs: the longest row counts, empty ones are zero
         n_inputs = max(array.size for key, array in arrays.items() if key.endswith("_input"))
         for key, array in arrays.items():
             size = n_inputs if key.endswith("_input") else arrays["act"].size
@@ -122,7 +128,7 @@ class Port(Row):
             object.__setattr__(self, key, array)
 
     def _restore(self, state: tuple[Any, ...]) -> None:
-        # numpy forgets the write protection when it pickles
+        # pickling loses the write protection of arrays
         for key, value in zip(self.__slots__, state, strict=True):
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
@@ -178,7 +184,7 @@ class Port(Row):
         return f"{self.name} ({self.kind.replace('_', ' ')}): {self.description}"
 
 
-# before Python 3.11.4 a frozen dataclass with slots takes no such method from its body
+# Python before 3.11.4 overwrites the method of a frozen dataclass with slots
 Port.__setstate__ = Port._restore  # type: ignore[attr-defined]
 
 
@@ -198,6 +204,7 @@ def felt(port: Port, output_rate: Array) -> Array:
     -------
     ndarray, shape (n_y,)
     """
+    # an accelerometer reads the rates that the force changes
     at_once = output_rate @ port.act
     return np.asarray(at_once + port.output if port.output.size else at_once)
 
@@ -232,6 +239,7 @@ def port_at(
 
     It is mechanical unless `others` says so; the rows of inputs in `others` are zero by default.
     """
+    # rows are zero but for the given states
     n, nothing = linear.n_states, np.zeros(linear.n_inputs)
     rows = {"position": row_of(n, position or {}), "velocity": row_of(n, velocity), "position_input": nothing}
     return Port(

@@ -30,10 +30,10 @@ SUFFIXES = (".csv", ".mtx", ".npy")
 #: Table of a TOML file that holds matrices; the others are named like the builders.
 MATRICES = "state_space"
 _LABELS = ("inputs", "outputs", "states")
-_KNOWN = ("links", "units", "parameters", "operating_point")  # what `physical` takes beside the matrices
+_KNOWN = ("links", "units", "parameters", "operating_point")  # arguments of `physical`
 _IN_FILES = {MATRICES: ("A", "B", "C", "D"), builders.mechanical.__name__: ("M", "C", "K", "force_map")}
 _MAPS = ("force", "force_map")  # a list of lists is a matrix there
-_MOST_STATES = 1000  # of a model in a file; a chain of 500 masses takes seconds, one of 2000 minutes
+_MOST_STATES = 1000  # most states of a model in a file
 _RULE = "must be numbers in rows of equal length"
 
 
@@ -68,21 +68,23 @@ def read_matrix(path: Path, where: str) -> Any:
             return _from_text(path)
         if suffix == ".npy":
             return array_of(path.read_bytes(), path.name)
+        # in a process of its own, since a damaged file can crash the reader
         found = read_apart(path, "mtx", "Matrix Market file that scipy")
         if "shape" not in found:
             return found["data"]
         return coo_matrix((found["data"], (found["row"], found["col"])), shape=tuple(found["shape"]))
     except OSError as error:
         raise ModelError(f"{where}: {path} cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # a header's parser, too, fails in a dozen ways
+    except Exception as error:  # the parser of a header may raise anything
         raise ModelError(f"{where}: {path} holds no matrix: {error}") from error
 
 
 def _from_text(path: Path) -> Array:
+    # remarks are cut off; semicolons mean decimal commas
     text = re.sub(r"#.*", "", path.read_text(encoding="utf-8-sig"))
     if not text.strip():
         raise ValueError("it is empty")
-    if ";" in text:  # a comma is the decimal one there
+    if ";" in text:  # commas are decimal
         text = text.replace(",", ".")
     mark = next((mark for mark in ",;" if mark in text), None)
     return np.loadtxt([line for line in text.splitlines() if line.strip()], delimiter=mark, ndmin=2)
@@ -139,12 +141,14 @@ def read_model(path: str | PathLike[str]) -> ct.StateSpace | PhysicalModel:
     """
     file = Path(path)
     suffix = file.suffix.lower()
+    # TOML: matrices, or a builder with its parameters
     if suffix == ".toml":
         return _from_toml(file)
     if suffix not in (".npz", ".mat"):
         raise ModelError(
             f"{file}: a model is a .toml, .npz or .mat file, not {suffix or 'without a suffix'!r}"
         )
+    # NumPy or MATLAB file: variables A, B, C, D and labels
     variables: dict[str, Any] = read_archive(file) if suffix == ".npz" else read_matlab(file)
     values: dict[str, Any] = {key: variables[key] for key in ("A", "B", "C", "D") if key in variables}
     for key in (*_LABELS, "name"):
@@ -170,14 +174,14 @@ def _within(where: str) -> Iterator[None]:
     except (ModelError, ct.ControlDimension, ct.ControlArgument) as error:
         raise ModelError(f"{where}: {error}") from error
     except (TypeError, ValueError, ArithmeticError, LookupError, AttributeError) as error:
-        # text where a number belongs, and the like
+        # text in place of a number, for example
         raise ModelError(f"{where}: a value is of the wrong kind: {error}") from error
 
 
 def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     try:
         content = tomllib.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:  # of TOML, of UTF-8, of a number with thousands of digits
+    except ValueError as error:  # invalid TOML, UTF-8 or number
         raise ModelError(f"{file} is not TOML: {error}") from error
     except RecursionError as error:
         raise ModelError(f"{file} is not TOML of a model: its brackets are nested too deeply") from error
@@ -185,18 +189,21 @@ def _from_toml(file: Path) -> ct.StateSpace | PhysicalModel:
     if len(content) != 1:
         found = ", ".join(content) or "nothing"
         raise ModelError(f"{file} must hold one table, one of {known}; it holds {found}")
+    # one table, named like the builder
     [(kind, table)] = content.items()
     if kind not in (MATRICES, *builder_names()):
         raise ModelError(f"{file}: no model is called {kind!r}; there are {known}")
     if not isinstance(table, dict):
         raise ModelError(f"{file}: {kind} must be a table, [{kind}] on a line of its own")
     where = f"{file}, [{kind}]"
+    # matrices in files of their own, beside the TOML file
     for key in _IN_FILES.get(kind, ()):
         if isinstance(table.get(key), str):
             table[key] = _from_file(file.parent / table[key], f"{where}, {key}", whole="n_modes" not in table)
     if kind != MATRICES:
-        return _built(getattr(builders, kind), table, where)
+        return _call_builder(getattr(builders, kind), table, where)
     holds = f"the table holds {', '.join(table) or 'nothing'}"
+    # declarations make it a physical model
     declared = {key: table.pop(key) for key in _KNOWN if key in table}
     plain = _state_space(table, where, holds, file)
     with _within(where):
@@ -210,7 +217,7 @@ def _from_file(path: Path, where: str, *, whole: bool) -> Any:
     """
     found = read_matrix(path, where)
     if issparse(found):
-        if not whole:  # a few modes of it are kept
+        if not whole:  # stays sparse for modal reduction
             return found
         _check_size(max(found.shape, default=0), where)
         found = found.toarray()
@@ -218,8 +225,9 @@ def _from_file(path: Path, where: str, *, whole: bool) -> Any:
     return matrix[0] if np.ndim(found) == 1 else matrix
 
 
-def _built(builder: Any, table: Mapping[str, Any], where: str) -> PhysicalModel:
+def _call_builder(builder: Any, table: Mapping[str, Any], where: str) -> PhysicalModel:
     """Return the model of a builder from the parameters in a table."""
+    # arguments that the builder takes, and those that it needs
     parameters = inspect.signature(builder).parameters
     unknown = [key for key in table if key not in parameters]
     if unknown:
@@ -231,7 +239,7 @@ def _built(builder: Any, table: Mapping[str, Any], where: str) -> PhysicalModel:
         _check_size(2 * len(value) if isinstance(value, (list, dict)) else 0, f"{where}, {key}")
     with _within(where):
         model: PhysicalModel = builder(**{key: _argument(key, value) for key, value in table.items()})
-        _ = model.system  # names that python-control refuses
+        _ = model.system  # raises if python-control refuses a name
     return model
 
 
@@ -280,17 +288,20 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, file: Path) 
     missing = [key for key in ("A", "B", "C") if key not in values]
     if missing:
         raise ModelError(f"{where}: {', '.join(missing)} missing; {holds}")
+    # D is zero where it is missing
     matrices = _matrices({"D": 0.0, **values}, where)
     dt = values.get("dt", 0)
     if isinstance(dt, bool) or not isinstance(dt, (int, float)) or not 0 <= dt < 1e300:
         raise ModelError(f"{where}: dt must be a time in s, or 0 for continuous time, not {dt!r}")
+    # as many labels as signals
     labels = {}
     for key, count in zip(_LABELS, (*matrices[3].shape[::-1], len(matrices[0])), strict=True):
         if key in values:
             labels[key] = texts = values[key] if isinstance(values[key], list) else [values[key]]
             if len(texts) != count or not all(isinstance(text, str) for text in texts):
                 raise ModelError(f"{where}: {key} must be {count} name(s), not {values[key]!r}")
-    name = values.get("name", file.stem.replace(".", "_"))  # in python-control a dot parts system and signal
+    # python-control separates system and signal by a dot
+    name = values.get("name", file.stem.replace(".", "_"))
     if not isinstance(name, str) or not name:
         raise ModelError(f"{where}: name must be text, not {name!r}")
     try:
@@ -301,6 +312,7 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, file: Path) 
 
 def _matrices(values: Mapping[str, Any], where: str) -> list[Array]:
     """A, B, C and D of sizes that fit."""
+    # a plain list is a row or a column, as the sizes ask
     A, B, C, D = (_matrix(values[key], f"{where}, {key}") for key in "ABCD")
     n = len(A)
     if np.ndim(values["B"]) == 1 and n != 1:

@@ -138,6 +138,7 @@ def refine(
     records = as_data(data, x0=x0, horizon=horizon, noise=noise, controller=controller)
     physical, kept = unfold(under_control(model, controller, data))
     given = records
+    # channels in the order of the model
     records = [ordered_record(physical, record) for record in given]
     in_time = not in_frequency(records)
     if in_time:
@@ -145,6 +146,7 @@ def refine(
             check_channels(physical.linear, record)
             if measured.n_inputs:
                 record.check_excitation("refine")
+    # known initial state as a deviation from the operating point
     initial = start_above(physical, x0)
     if substeps is not None:
         substeps = as_whole(substeps, "substeps", least=1, most=MOST_SUBSTEPS)
@@ -159,10 +161,13 @@ def refine(
         known_start=initial is not None,
     )
     with own_arithmetic():
+        # windows of the free runs, each with an initial state of its own
         segments, note = windows(physical, records, horizon, known_start=initial is not None)
         bare = Structure(physical)
+        # motion at the places, estimated by an observer: for shapes and widths of the laws
         motion, *motion.companions = [estimated_motion(bare, np.zeros(0), record) for record in records]
         best: Fit | None = None
+        # one fit for each possible place of the offsets; the lowest cost counts
         for offsets in offset_variants(physical, records[0], offset):
             chosen = assemble(physical, kept, effects, free, tolerance, offsets)
             structure = Structure(physical, [e for e, _ in chosen])
@@ -178,11 +183,13 @@ def refine(
         assert best is not None
         chosen_fit = best
 
+        # the same fit on other data, to check the result
         def again(pieces: list[Measurement]) -> Fit:
             other = Fit(chosen_fit.structure, chosen_fit.roles, pieces, noise, initial, tolerance)
             other.run(estimated_motion(bare, np.zeros(0), pieces[0]), substeps)
             return other
 
+        # standard deviations, and reasons not to trust the estimate
         found = package(best, physical, note)
         return doubted(found, best, again) if in_time else found
 
@@ -225,6 +232,7 @@ def refit(
     physical, kept = unfold(model)
     records = [ordered_record(physical, r) for r in as_data(data)]
     segments, note = windows(physical, records, horizon)
+    # smoothing widths of the laws stay as they are
     widths = {(e.kind, e.place): model.constants.get(i) for i, (e, _) in enumerate(kept)}
     if without is not None:
         kept = [(e, role) for e, role in kept if (e.kind, e.place) != (without.kind, without.place)]
@@ -237,6 +245,7 @@ def refit(
         structure = Structure(physical, effects, constants=known)
         if best is not None and structure.is_linear:
             break  # behind a linear model all offsets are the same
+        # local fit from the present values
         fit = Fit(structure, [role for _, role in chosen], segments, noise, None, tolerance)
         states = model.initial_states if best is None else best.problem.unpack(best.result.point)[1]
         fit.resume(model.substeps, states)
@@ -254,6 +263,7 @@ def _other_offsets(
     rest = [(e, role) for e, role in kept if role != "offset"]
     found = []
     for offsets in offset_variants(physical, record, offset):
+        # another place with as many offsets
         places = {(e.kind, e.place) for e in offsets}
         if mine and places != mine and len(places) == len(mine):
             found.append(rest + [(e, "offset") for e in offsets])
@@ -275,6 +285,7 @@ def base_fit(
     Where its numbers are trusted, or known to within a prior, the minimum is next to them and no
     search is needed.
     """
+    # free parameters without a prior may be far off: the full search
     if len(free) and tolerance == 0 and not all(isinstance(e, Effect) and e.prior for e in free):
         return refine(
             model, records, free=free, tolerance=tolerance, offset=offset, noise=noise, horizon=horizon
@@ -287,14 +298,16 @@ def base_fit(
             if measured.n_inputs:
                 record.check_excitation("diagnose")
     segments, note = windows(physical, ordered, horizon)
+    # otherwise a local fit from the nominal values
     chosen = assemble(physical, kept, (), free, tolerance, offset_variants(physical, ordered[0], offset)[0])
     constants = dict(getattr(model, "constants", {}))
     structure = Structure(physical, [e for e, _ in chosen], constants=constants)
     fit = Fit(structure, [role for _, role in chosen], segments, noise, None, tolerance)
     fit.steps = int(getattr(model, "substeps", 1))
-    if structure.field is not None:  # not even what it starts from is exact in one substep
+    if structure.field is not None:  # a nonlinear model needs substeps even without effects
         fit.resume(fit.steps, np.zeros((0, 0)))
         return package(fit, physical, note)
+    # free run from estimated initial states
     fit.problem = fit.build(segments, fit.steps)
     theta = structure.start()
     point = fit.problem.pack(theta, starting_states(fit.problem, theta))

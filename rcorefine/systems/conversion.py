@@ -18,10 +18,10 @@ from .linear import Array, LinearModel, balance
 SAME_DT = 1e-6
 # Angle of a discrete pole, as a fraction of pi, beyond which aliasing is suspected.
 DOUBTFUL_ANGLE = 0.9
-# Relative error of a matrix logarithm that is worth a word.
+# Relative error of a matrix logarithm above which a warning is given.
 LOG_TOLERANCE = 1e-8
 _EPS = float(np.finfo(float).eps)
-_FAST = 0.02  # pole in place of one without a real logarithm: gone within two samples, and still invertible
+_FAST = 0.02  # substitute for a pole without a real logarithm: decays within two samples, can be inverted
 _REAL = 1e-5  # imaginary part over size below which a pole counts as real: multiple ones split by rounding
 _ZERO = 1e-4  # size below which a pole counts as zero
 
@@ -64,6 +64,7 @@ def to_discrete(model: LinearModel, dt: float, hold: str = "zoh") -> LinearModel
     if model.dt is None or model.dt is True:
         return model.with_arrays(dt=step)
     if model.is_continuous:
+        # first-order hold: the state x - G1 w removes w(k+1) from the recursion
         phi, g0, g1 = discretize(model.A, model.B, step, hold)
         return model.with_arrays(A=phi, B=g0 + phi @ g1, C=model.C.copy(), D=model.D + model.C @ g1, dt=step)
     if not math.isclose(model.dt, step, rel_tol=SAME_DT):
@@ -162,10 +163,12 @@ def d2c(system: ct.StateSpace, method: str = "zoh") -> ct.StateSpace:
 def _inverse_hold(phi: Array, gamma: Array, step: float, where: str) -> tuple[Array, Array]:
     """Continuous A and B from the block logarithm of a zero-order hold model."""
     n, n_w = gamma.shape
+    # balance the states and scale the inputs, both by powers of two
     phi, scale = balanced(phi)
     gamma = gamma / scale[:, None]
     columns = power_of_two(np.max(np.abs(gamma), axis=0, initial=0.0))
     _check_poles(phi, step, where)
+    # log [Phi Gamma; 0 I] = [A B; 0 0] dt
     block = np.eye(n + n_w)
     block[:n, :n], block[:n, n:] = phi, gamma / columns
     principal = _logarithm(block)
@@ -176,6 +179,7 @@ def _inverse_hold(phi: Array, gamma: Array, step: float, where: str) -> tuple[Ar
             "check the model, or use method='tustin'"
         )
     log: Array = principal.real
+    # check: the exponential must give the samples back
     mismatch = float(np.max(np.abs(linalg.expm(log) - block))) / float(np.max(np.abs(block)))
     if not mismatch < LOG_TOLERANCE:
         warn(
@@ -193,6 +197,7 @@ def _logarithm(matrix: Array) -> NDArray[np.complex128]:
     `scipy.linalg.logm` draws from the global random numbers, which a
     conversion must not do.
     """
+    # Schur form; square roots until it is close to the identity
     triangle, unitary = linalg.schur(matrix, output="complex")
     exact = np.log(np.diag(triangle))
     identity = np.eye(len(matrix))
@@ -217,6 +222,7 @@ def _check_poles(phi: Array, step: float, where: str) -> None:
 
     Warn where the branch of the logarithm is in doubt.
     """
+    # a zero pole or a real negative one has no real logarithm
     poles = linalg.eigvals(phi)
     sizes = linalg.svdvals(phi)
     if sizes[-1] <= len(poles) * _EPS * sizes[0]:
@@ -247,6 +253,7 @@ def _check_poles(phi: Array, step: float, where: str) -> None:
 
 def _inverse_tustin(model: LinearModel, step: float, where: str) -> LinearModel:
     """Invert the bilinear transformation as `StateSpace.sample` applies it."""
+    # z = (1 + s dt / 2) / (1 - s dt / 2), solved for s
     identity = np.eye(model.n_states)
     phi, scale = balanced(model.A)
     b, c = model.B / scale[:, None], model.C * scale
@@ -257,6 +264,7 @@ def _inverse_tustin(model: LinearModel, step: float, where: str) -> LinearModel:
             f"{where} has a pole at -1, which the bilinear transformation sends to infinity; "
             "no continuous model has it. Use another sampling time"
         )
+    # A = (Phi + I)^-1 (Phi - I) 2 / dt, and B, C, D accordingly
     inverse = np.linalg.inv(resolvent)
     a = np.linalg.solve(resolvent, phi - identity) / step
     c = c @ inverse
@@ -303,7 +311,7 @@ def nearest_continuous(model: LinearModel) -> LinearModel:
     >>> bool(np.isclose(near.dcgain(), odd.to_statespace().dcgain()))
     True
     """
-    moved, poles = _without_bad_poles(model)
+    moved, poles = _move_bad_poles(model)
     if poles.size:
         shown = ", ".join(f"{pole:.4g}" for pole in poles[:4].real)
         warn(
@@ -322,7 +330,7 @@ def nearest_continuous(model: LinearModel) -> LinearModel:
         return LinearModel.from_statespace(d2c(moved.to_statespace(), method="tustin"))
 
 
-def _without_bad_poles(model: LinearModel) -> tuple[LinearModel, Array]:
+def _move_bad_poles(model: LinearModel) -> tuple[LinearModel, Array]:
     """Model with poles without a real logarithm moved, and those poles.
 
     The model is split in two invariant subspaces (ordered Schur form and a Sylvester equation), so
@@ -333,11 +341,13 @@ def _without_bad_poles(model: LinearModel) -> tuple[LinearModel, Array]:
         size = abs(complex(real, imaginary))
         return size < _ZERO or (real <= 0 and abs(imaginary) <= _REAL * size)
 
-    units = balance(model.A)  # those of the user may be far apart
+    units = balance(model.A)  # units of the user may differ by orders of magnitude
+    # ordered Schur form: the bad poles first
     triangle, basis, count = linalg.schur(model.A * units / units[:, None], output="real", sort=bad)
     if count == 0:
         return model, np.zeros(0)
     poles = linalg.eigvals(triangle[:count, :count])
+    # Sylvester equation: block diagonal form of both subspaces
     first, coupling, rest = triangle[:count, :count], triangle[:count, count:], triangle[count:, count:]
     apart = linalg.solve_sylvester(first, -rest, -coupling)
     n = model.n_states
@@ -348,6 +358,7 @@ def _without_bad_poles(model: LinearModel) -> tuple[LinearModel, Array]:
     gain = back[:count] @ model.B
     # the static response of the moved modes stays: (1 - z) (I - A1)^-1 B1
     gain = (1.0 - _FAST) * linalg.solve(np.eye(count) - first, gain)
+    # bad modes with the pole z = 0.02, the others as they were
     A = basis @ linalg.block_diag(_FAST * np.eye(count), rest) @ back
     B = basis @ np.vstack([gain, back[count:] @ model.B])
     return model.with_arrays(A=A, B=B), poles
@@ -403,12 +414,14 @@ def stabilized(model: LinearModel, limit: float) -> LinearModel:
     def wild(real: float, imaginary: float) -> bool:
         return (real if continuous else abs(complex(real, imaginary))) > bound
 
-    units = balance(model.A)  # those of the user may be far apart
+    units = balance(model.A)  # units of the user may differ by orders of magnitude
     A = model.A * units / units[:, None]
     try:
+        # ordered Schur form: the fast-growing modes first
         triangle, basis, count = linalg.schur(A, output="real", sort=wild)
-    except linalg.LinAlgError:  # modes that rounding moves across the bound: all are slowed down
+    except linalg.LinAlgError:  # rounding moves modes across the bound: slow all of them down
         triangle, basis, count = A.copy(), np.eye(len(A)), len(A)
+    # shift the poles in continuous time, scale them in discrete time
     block = triangle[:count, :count]
     if continuous:
         block -= (growth(model) - limit) * np.eye(count)
@@ -510,6 +523,7 @@ def characteristic_polynomial(A: Array) -> Array:
     n = A.shape[0]
     if n == 0:
         return np.ones(1)
+    # characteristic polynomials of the leading submatrices of the Hessenberg form
     h = linalg.hessenberg(balanced(A)[0])
     polynomials = [np.ones(1)]
     for i in range(n):
@@ -532,6 +546,7 @@ def _check_observable(model: LinearModel) -> None:
     c = model.C * scale
     a_size = float(linalg.norm(a, 2)) or 1.0
     c_size = float(linalg.norm(c, 2)) or 1.0
+    # Hautus test: [A - lambda I; C] has full rank at every pole
     for pole in linalg.eigvals(a):
         pencil: NDArray[np.complex128] = np.vstack([(a - pole * np.eye(n)) / a_size, c / c_size])
         if linalg.svdvals(pencil)[-1] <= 10 * n * _EPS:

@@ -69,16 +69,17 @@ def discretize(A: ArrayLike, B: ArrayLike, dt: float, hold: str = "zoh") -> tupl
     [0.125 0.5  ] [0. 0.]
     """
     as_choice(hold, "hold", HOLDS)
-    a, b = _checked(A, B)
+    a, b = _check_matrices(A, B)
     step = check_sampling_time(dt)
     n, n_w = b.shape
     if n == 0:
         return np.zeros((0, 0)), np.zeros((0, n_w)), np.zeros((0, n_w))
-    # Units far apart (a current beside a charge) cost digits; powers of two are free.
+    # Units that differ much (current and charge) cost digits; scaling by powers of two is exact.
     a, scale = balanced(a)
     b = b / scale[:, None]
     columns = power_of_two(np.max(np.abs(b), axis=0, initial=0.0))
     blocks = 2 if hold == "foh" else 1
+    # exponential of [A B 0; 0 0 I; 0 0 0] dt: transition, held input, ramp of the input (Van Loan)
     block = np.zeros((n + blocks * n_w, n + blocks * n_w))
     block[:n, :n] = a * step
     block[:n, n : n + n_w] = b / columns
@@ -94,6 +95,7 @@ def discretize(A: ArrayLike, B: ArrayLike, dt: float, hold: str = "zoh") -> tupl
             f"the model grows beyond floating point within one sample of {step:g} s; "
             "check the signs and units of A, or sample faster"
         )
+    # w(k) acts by the hold less the ramp, w(k+1) by the ramp
     return phi, held - ramp, ramp
 
 
@@ -123,7 +125,7 @@ def check_sampling_time(dt: object) -> float:
     return as_number(dt, "the sampling time", above=0.0, what="a time in seconds", error=ModelError)
 
 
-def _checked(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
+def _check_matrices(A: ArrayLike, B: ArrayLike) -> tuple[Array, Array]:
     """Give A and B as finite float arrays of fitting size."""
     a, b = np.array(A, dtype=float), np.array(B, dtype=float)
     if a.ndim != 2 or a.shape[0] != a.shape[1]:
@@ -179,14 +181,16 @@ def exponential(matrices: NDArray[Any]) -> NDArray[Any]:
     if not np.isfinite(norm):
         return np.full_like(matrices, np.nan)
     scale = None
-    if norm > _UNBALANCED:  # many squarings lose digits where units differ, as in a companion matrix
+    if norm > _UNBALANCED:  # many squarings lose digits in badly scaled matrices such as companion forms
         size = np.abs(matrices).max(axis=0)
         scale = balance(size)
         matrices = matrices * scale / scale[:, None]
         norm = float(np.abs(matrices).sum(axis=-2).max(initial=0.0))
+    # scaling and squaring: exp(M) = exp(M / 2^s)^(2^s)
     squarings = max(0, int(np.ceil(np.log2(max(norm, 1e-300) / _THETA))))
     a = matrices / 2.0**squarings
     one = np.eye(a.shape[-1])
+    # Pade approximant of degree 9, split in even and odd powers
     a2 = a @ a
     a4 = a2 @ a2
     a6 = a4 @ a2

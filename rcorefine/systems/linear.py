@@ -109,6 +109,7 @@ class LinearModel:
                 f"model must be a control.StateSpace, not {type(sys).__name__}; convert it first (a "
                 "NonlinearIOSystem with its .linearize(x0, u0))"
             )
+        # copies, so that later changes of the system do not reach the model
         arrays = [np.array(getattr(sys, key), dtype=float, ndmin=2) for key in "ABCD"]
         for key, array in zip("ABCD", arrays, strict=True):
             check_finite(key, array, f" of system {sys.name!r}")
@@ -163,6 +164,7 @@ def balance(size: Array) -> Array:
     LAPACK's gebal without permutations; `scipy.linalg.matrix_balance` writes the factors as integers,
     too, which units 1e15 apart exceed.
     """
+    # gebal also returns the balanced matrix, which is not needed
     *_, scale, _ = dgebal(np.asarray(size, dtype=np.float64), scale=1, permute=0)
     return np.asarray(scale, dtype=np.float64)
 
@@ -190,6 +192,7 @@ def entry_of(linear: LinearModel, place: str) -> tuple[int, int]:
     """
     match = re.fullmatch(r"([ABCD])\[(.+)\]", as_text(place, "place").strip())
     states, inputs, outputs = linear.state_labels, linear.input_labels, linear.output_labels
+    # letter of the matrix: C and D are rows of outputs, B and D columns of inputs
     if match:
         below, right = match[1] in "CD", match[1] in "BD"
         pieces = match[2].split(",")
@@ -207,6 +210,7 @@ def entry_of(linear: LinearModel, place: str) -> tuple[int, int]:
 
 def _index(labels: Sequence[str], text: str) -> int | None:
     """Which of the labels a text names, itself or by its number."""
+    # a label comes before a number, since labels may be numbers
     if text in labels:
         return labels.index(text)
     return int(text) if text.isdecimal() and int(text) < len(labels) else None
@@ -245,6 +249,7 @@ def realized(transfer: ct.TransferFunction) -> ct.StateSpace:
     ['x', 'x_rate']
     """
     try:
+        # SISO: companion form; MIMO: python-control, which may need slycot
         one = transfer.ninputs * transfer.noutputs == 1
         system = _companion(transfer) if one else ct.ss(transfer, name=transfer.name)
     except (ct.ControlMIMONotImplemented, ct.ControlSlycot, ValueError, TypeError) as error:
@@ -252,6 +257,7 @@ def realized(transfer: ct.TransferFunction) -> ct.StateSpace:
             f"transfer function {transfer.name!r} has no state space here ({error}); "
             "give a control.StateSpace"
         ) from error
+    # physical coordinates, where the output defines them
     system = _by_output(system)
     warn(
         f"a transfer function tells no states; {system.name!r} was realized with the states "
@@ -267,12 +273,15 @@ def _companion(transfer: ct.TransferFunction) -> ct.StateSpace:
 
     `scipy.signal.tf2ss` drops small leading ones.
     """
+    # without leading zeros, the degree of the denominator is the order
     (num,), (den,) = (np.trim_zeros(np.ravel(part), "f")[None] for part in ct.tfdata(transfer))
     n = den.size - 1
     if num.size > n + 1:
         raise ValueError("it is non-proper: its numerator is of the higher degree")
+    # monic denominator
     num = np.concatenate([np.zeros(n + 1 - num.size), num]) / den[0]
     den = den / den[0]
+    # controllable canonical form: negative coefficients in the first row, ones below the diagonal
     A = np.eye(n, k=-1)
     A[:1] = -den[1:]
     return ct.ss(
@@ -286,7 +295,9 @@ def _by_output(system: ct.StateSpace) -> ct.StateSpace:
     n = system.nstates
     if system.dt != 0 or system.ninputs * system.noutputs != 1 or n not in (1, 2) or system.D.any():
         return system
+    # T = C, or T = [C; C A]: output and its rate
     rows = system.C if n == 1 else np.vstack([system.C, system.C @ system.A])
+    # the rate is a state only if the input does not reach it at once, C B = 0
     if (n == 2 and (system.C @ system.B).any()) or np.linalg.matrix_rank(rows) < n:
         return system
     back = np.linalg.inv(rows)

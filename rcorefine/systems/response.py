@@ -54,16 +54,19 @@ def frequency_response(model: LinearModel, omega: ArrayLike) -> NDArray[np.compl
     >>> print(frequency_response(lag, [0.0, 1.0])[0, 0])
     [1. +0.j  0.5-0.5j]
     """
-    points = _checked_omega(omega)
+    points = _check_omega(omega)
+    # on the imaginary axis, or on the unit circle
     if model.dt is None or model.is_continuous:
         z = np.asarray(1j * points, dtype=np.complex128)
     else:
         z = np.asarray(np.exp(1j * points * float(model.dt)), dtype=np.complex128)
     n = model.n_states
     response = np.empty((points.size, model.n_outputs, model.n_inputs), dtype=complex)
+    # blocks of frequencies bound the memory
     batch = max(1, _BATCH // max(1, n * (n + model.n_inputs)))
     for start in range(0, points.size, batch):
         part = slice(start, start + batch)
+        # G(z) = C (z I - A)^-1 B + D
         states = _resolvent_times(model.A, model.B, z[part])
         at_pole = np.isnan(states).any(axis=(1, 2))
         states[at_pole] = 0.0
@@ -123,7 +126,8 @@ def bode_error(
             f"the systems must have the same channels: the true one has {g.n_inputs} inputs and "
             f"{g.n_outputs} outputs, the estimate {g_hat.n_inputs} and {g_hat.n_outputs}"
         )
-    points = default_omega(_common_dt(g, g_hat, dt)) if omega is None else _checked_omega(omega)
+    # norm of the difference over the norm of the true response
+    points = default_omega(_common_dt(g, g_hat, dt)) if omega is None else _check_omega(omega)
     reference = frequency_response(g, points)
     size = float(np.linalg.norm(reference))
     if not math.isfinite(size) or size == 0.0:
@@ -160,6 +164,7 @@ def default_omega(dt: float) -> Array:
 
 def _resolvent_times(a: Array, b: Array, z: NDArray[np.complex128]) -> NDArray[np.complex128]:
     """Solve (z I - A) X = B for every z; a pole hit exactly gives NaN."""
+    # one batched solution of (z I - A) X = B
     shifted = z[:, None, None] * np.eye(a.shape[0]) - a
     right = np.broadcast_to(b.astype(complex), (z.size, *b.shape))
     try:
@@ -167,11 +172,12 @@ def _resolvent_times(a: Array, b: Array, z: NDArray[np.complex128]) -> NDArray[n
     except np.linalg.LinAlgError:
         if z.size == 1:
             return np.full(right.shape, complex(np.nan, np.nan))
+    # a pole lies on a frequency: halve the batch until it is alone
     half = z.size // 2
     return np.concatenate([_resolvent_times(a, b, z[:half]), _resolvent_times(a, b, z[half:])])
 
 
-def _checked_omega(omega: ArrayLike) -> Array:
+def _check_omega(omega: ArrayLike) -> Array:
     points = as_array(omega, "omega", error=ModelError)
     if points.ndim != 1:
         raise ct.ControlDimension(f"omega must be one-dimensional, not of shape {points.shape}")
@@ -238,6 +244,7 @@ def hold_factor(omega: Array, dt: float, hold: str) -> NDArray[np.complex128]:
     >>> abs(hold_factor(np.array([1e-9]), 0.1, "zoh"))
     array([1.])
     """
+    # zoh: sinc(omega dt / 2) with a delay of dt / 2; foh: sinc^2 without one
     half = 0.5 * omega * dt
     if hold == "bandlimited" or dt == 0:
         return np.ones(omega.shape, complex)

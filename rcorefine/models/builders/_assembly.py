@@ -92,6 +92,7 @@ def assembled(
     options: BuilderArguments,
 ) -> PhysicalModel:
     """Return the physical model of M, C and K with these places."""
+    # inputs, then sensors, then the equations
     drive = input_map(options, structure[0])
     by_name = {place.name: place for place in places}
     found = parse_sensors(options, len(drive.force), by_name, drive.base, parameters)
@@ -113,16 +114,19 @@ def second_order(
     """
     (M, C, K), (F, base, inputs) = structure, drive
     n, units, rows = len(M), options.units, list(sensors.values())
+    # directions of the places; a resisting force enters along each, with a minus sign
     G = np.column_stack([place.direction for place in places])
-    # one factorization of M for all: a long chain has thousands of places
+    # one factorization of M for all places
     solved = np.linalg.solve(M, np.hstack([K, C, F, G]))
     K, C, F, moved = np.split(solved, [n, 2 * n, 2 * n + F.shape[1]], axis=1)
     moved[np.abs(moved) <= 1e-14 * np.abs(moved).max(axis=0)] = 0.0
+    # x = [q; q']: q'' = -M^-1 (K q + C q') + M^-1 F w
     A = np.block([[np.zeros((n, n)), np.eye(n)], [-K, -C]])
     B = np.vstack([np.zeros_like(F), F])
-    # a rigid row of M^-1 M 1 is one; the solver may leave it off by rounding
+    # base excitation: exactly -1 without the rounding of the solver
     B[n:, base > 0] = -1.0
     motion = np.array([s.motion for s in rows])
+    # sensors: displacement and velocity by the states, acceleration by their rates
     state, rate = motion[:, :2].reshape(-1, 2 * n), np.hstack([0.0 * motion[:, 2], motion[:, 2]])
     direct = np.array([s.direct for s in rows])
     states = {
@@ -130,6 +134,7 @@ def second_order(
         for letter, kind in zip(letters, ("position", "velocity"), strict=True)
         for i in range(n)
     }
+    # load cells read the force of an effect at their place at once
     metered, nothing = any(s.reads for s in rows), np.zeros(n)
     ports = [
         Port(
@@ -174,6 +179,7 @@ def parse_sensors(
     among the `parameters` hold).
     """
     found: list[tuple[str, Sensor]] = []
+    # one sensor for each pair of quantity and place
     for quantity, where in _requests(options.sensors, size):
         as_choice(quantity, "the quantity of a sensor", tuple(_LETTER))
         if isinstance(where, str):
@@ -184,9 +190,10 @@ def parse_sensors(
         else:
             mass = as_index(where, "the mass of a sensor", size)
             direction, absolute, label = np.eye(size)[mass], True, f"{_LETTER[quantity]}{where}"
-        gains = _held(where, parameters) if quantity == "force" else {quantity: 1.0}
+        # a load cell reads k d + c d', another sensor its quantity
+        gains = _load_cell_gains(where, parameters) if quantity == "force" else {quantity: 1.0}
         motion = np.outer([gains.get(key, 0.0) for key in _LETTER if key != "force"], direction)
-        # displacements and velocities are relative to the base, an accelerometer feels it
+        # displacements and velocities are relative to the base, accelerations absolute
         felt = base * direction.sum() * (quantity == "acceleration" and absolute)
         unit, reads = options.units[quantity], where if quantity == "force" else ""
         found.append((label, Sensor(unit, motion, felt, reads)))
@@ -196,8 +203,9 @@ def parse_sensors(
     return dict(found)
 
 
-def _held(where: Any, parameters: Sequence[NominalParameter]) -> dict[str, float]:
+def _load_cell_gains(where: Any, parameters: Sequence[NominalParameter]) -> dict[str, float]:
     """Return what a load cell in series with spring and damper reads."""
+    # stiffness and damping that the parameters have at this place
     k, c = (
         sum(q.value for q in parameters if (q.kind, q.place) == (kind, where))
         for kind in ("stiffness", "damping")
@@ -216,6 +224,7 @@ def _requests(sensors: Any, size: int, *, nested: bool = False) -> list[tuple[st
         return [(sensors, number) for number in range(1, size + 1)]
     if not isinstance(sensors, Sequence):
         raise ct.ControlArgument(f"sensors must be {_SENSORS}, not {shown(sensors)}")
+    # a pair (quantity, place or places), else a list of requests
     pair = len(sensors) == 2 and isinstance(sensors[0], str) and not _is_request(sensors[1])
     if pair:
         where = sensors[1]
@@ -237,6 +246,7 @@ def input_map(options: BuilderArguments, M: Any) -> InputMap:
     force, size, units, what = options.force, M.shape[0], options.units, options.forces
     base = as_choice(options.excitation, "excitation", ("force", "base")) == "base"
     matrix, numbers = np.zeros((size, 0)), []
+    # F as a matrix, or the numbers of the masses that a force acts on
     rows = isinstance(force, list | tuple) and any(isinstance(row, list | tuple) for row in force)
     if rows or (isinstance(force, np.ndarray) and force.ndim == 2):
         matrix = _force_matrix(force, what, size)
@@ -245,10 +255,11 @@ def input_map(options: BuilderArguments, M: Any) -> InputMap:
         numbers = as_indices(1 if force is None else force, what, "mass", size)
         matrix = np.eye(size)[:, numbers]
     labels = ["force"] if len(numbers) == 1 else [f"force{i + 1}" for i in numbers]
-    # through other numbers than 0 and 1 acts what need not be a force
+    # an input with other entries than 0, 1 and -1 need not be a force
     known = [bool(np.isin(np.abs(column), (0.0, 1.0)).all()) for column in matrix.T]
     inputs = {label: units["force"] * plain for label, plain in zip(labels, known, strict=True)}
     if base:
+        # in coordinates relative to the base its acceleration acts as the force -M 1 on the masses
         matrix = np.hstack([-M @ np.ones((size, 1)), matrix])
         inputs = {"base_acceleration": units["acceleration"], **inputs}
     return InputMap(matrix, np.array([float(label == "base_acceleration") for label in inputs]), inputs)
@@ -256,6 +267,7 @@ def input_map(options: BuilderArguments, M: Any) -> InputMap:
 
 def _force_matrix(force: Any, what: str, size: int) -> Array:
     """Return the matrix by which inputs act on masses, checked."""
+    # each column is one input
     matrix = as_array(force, what, error=ModelError)
     if matrix.ndim != 2 or matrix.shape[0] != size:
         raise ct.ControlDimension(

@@ -35,6 +35,7 @@ def as_number(value: Any, name: str, *, positive: bool = True) -> float:
 def as_index(value: Any, name: str, size: int) -> int:
     """Number of a mass, node or tank, counted from 1; returned counted from 0."""
     number = arguments.as_whole(value, name, error=ModelError)
+    # counted from 1 by the user
     if not 1 <= number <= size:
         raise ModelError(f"{name} = {number} does not exist: there are 1 to {size}")
     return number - 1
@@ -42,6 +43,7 @@ def as_index(value: Any, name: str, size: int) -> int:
 
 def as_indices(value: Any, name: str, of: str, size: int) -> list[int]:
     """Return numbers of masses, nodes or tanks, each once, counted from 0."""
+    # one number stands for a list with one entry
     single = isinstance(value, numbers.Number | np.bool_ | str | bytes)
     listed = [value] if single else arguments.as_list(value, name, f"{of}s")
     found = [as_index(item, f"a {of} of {name}", size) for item in listed]
@@ -70,6 +72,7 @@ def refuse_twice(labels: Sequence[str]) -> None:
 
 def total(*terms: tuple[float, Row]) -> dict[str, float]:
     """Weighted sum of rows."""
+    # factors times rows, label by label
     found: dict[str, float] = {}
     for factor, row in terms:
         for label, value in row.items():
@@ -92,11 +95,13 @@ def built(
     outputs and the states by the labels that are used where the user gave none.
     """
     (A, B), (state, rate, direct) = matrices, readout
+    # labels of the user, else the default ones
     inputs, outputs, states = (
         arguments.as_labels(own, what, tuple(default), error=ModelError)
         for own, what, default in zip(given, ("inputs", "outputs", "states"), units, strict=False)
     )
     name = arguments.as_text(given[3], "name")
+    # y = state x + rate dx/dt + direct w, with dx/dt = A x + B w
     linear = LinearModel(A, B, state + rate @ A, direct + rate @ B, 0, inputs, outputs, states, name)
     entry, read, state_units = (tuple(each.values()) for each in units)
     return PhysicalModel(
@@ -124,6 +129,7 @@ class BuilderEquations(NamedTuple):
 
     def rows(self, *entries: Row) -> tuple[Array, Array]:
         """Rows over the states and over the inputs."""
+        # labels that are no signal of the model drop out
         states, inputs = (
             np.array([[row.get(label, 0.0) for label in labels] for row in entries])
             for labels in (self.states, self.inputs)
@@ -145,6 +151,7 @@ class BuilderEquations(NamedTuple):
 
         It is mechanical if it has a displacement.
         """
+        # force, velocity and position of the port, by states and by inputs
         states, inputs = self.rows(act, velocity, position or {})
         return Port(
             name,
@@ -169,8 +176,10 @@ class BuilderEquations(NamedTuple):
         given: Given,
     ) -> PhysicalModel:
         """Physical model of these equations."""
+        # outputs read states and inputs, or rates of states
         state, direct = self.rows(*(reading.row for reading in readings.values()))
         rate, _ = self.rows(*(reading.rate for reading in readings.values()))
         units = self.inputs, {label: reading.unit for label, reading in readings.items()}, self.states
+        # one row of A and B for each state
         matrices = self.rows(*(self.rates[label] for label in self.states))
         return built(matrices, (state, rate, direct), given, units=units, ports=ports, parameters=parameters)

@@ -92,6 +92,7 @@ def dc_motor(
     ('angle', 'speed', 'current')
     """
     parts = {"R": R, "L": L, "Kt": Kt, "J": J}
+    # first-order speed model, or electromechanical model
     simple = gain is not None or time_constant is not None
     given = [key for key, value in {**parts, "Ke": Ke, "b": b}.items() if value is not None]
     if simple and given:
@@ -102,10 +103,12 @@ def dc_motor(
     as_flag(load_torque, "load_torque")
     units = {"angle": as_text(angle_unit, "angle_unit")}
     units |= {"speed": combine_units("angle/s", units), "current": "A"}
+    # state equations of the motor
     if simple:
         motor = _speed_model(gain, time_constant, load_torque)
     else:
         motor = _electromechanical(parts, Ke, b, load_torque)
+    # the angle is a state only where it is measured
     rates = {"angle": {"speed": 1.0}, **motor.rates} if "angle" in asked else motor.rates
     channels = {"voltage": "V"} | ({"load_torque": "N m"} if load_torque else {})
     equations = BuilderEquations(rates, {state: units[state] for state in rates}, channels)
@@ -113,6 +116,7 @@ def dc_motor(
     words = "shaft against the housing: friction, inertia"
     if simple:
         words += ", torques as the voltage that overcomes them"
+    # port at the shaft: a resisting torque decelerates it, act = -1/J
     speed, current = {"speed": 1.0}, {"current": 1.0}
     ports = [
         equations.port(
@@ -124,6 +128,7 @@ def dc_motor(
             units=tuple(at_shaft.values()),
         )
     ]
+    # nominal parameters: inertia and viscous friction at the shaft
     parameters = [
         NominalParameter(name, value, combine_units(rule, at_shaft), kind, "shaft")
         for name, value, rule, kind in (
@@ -131,6 +136,7 @@ def dc_motor(
             (motor.names[1], motor.friction, "force/velocity", "damping"),
         )
     ]
+    # port at the winding, first order in the current
     if motor.winding is not None:
         R, L = motor.winding
         words = "winding: voltage drop by the current"
@@ -160,6 +166,7 @@ def _speed_model(gain: float | None, time_constant: float | None, load_torque: b
         raise ct.ControlArgument("the speed model needs both gain and time_constant")
     if load_torque:
         raise ct.ControlArgument("load_torque needs the electromechanical model (R, L, Kt, J)")
+    # tau dv/dt + v = gain u, with the sizes of inertia and friction in volts
     gain = arguments.as_number(gain, "gain", error=ModelError)
     size, tau = as_number(abs(gain), "the size of gain"), as_number(time_constant, "time_constant")
     speed = {"speed": -1.0 / tau, "voltage": gain / tau}
@@ -177,7 +184,9 @@ def _electromechanical(parts: dict[str, float | None], Ke: Any, b: Any, load_tor
     R, L, Kt, J = (as_number(number, key) for key, number in parts.items())
     voltage_constant = Kt if Ke is None else as_number(Ke, "Ke")
     friction = 0.0 if b is None else as_number(b, "b", positive=False)
+    # J dv/dt = Kt i - b v - load
     speed = {"speed": -friction / J, "current": Kt / J} | ({"load_torque": -1.0 / J} if load_torque else {})
+    # L di/dt = u - R i - Ke v
     current = {"speed": -voltage_constant / L, "current": -R / L, "voltage": 1.0 / L}
     return _Motor({"speed": speed, "current": current}, J, friction, ("J", "b"), "N m", (R, L))
 
@@ -252,6 +261,7 @@ def quarter_car(
     >>> model.linear.state_labels
     ('suspension', 'tire', 'body_velocity', 'wheel_velocity')
     """
+    # masses, springs and dampers
     mb, mw = as_number(body_mass, "body_mass"), as_number(wheel_mass, "wheel_mass")
     ks = as_number(suspension_stiffness, "suspension_stiffness")
     kt = as_number(tire_stiffness, "tire_stiffness")
@@ -265,6 +275,7 @@ def quarter_car(
     body, wheel = "body_velocity", "wheel_velocity"
     sprung: Row = {body: 1.0, wheel: -1.0}
     rolling: Row = {} if height else {wheel: 1.0, "road": -1.0}
+    # input is the height of the road: states are positions; its velocity: states are elongations
     if height:
         suspension: Row = {"body_position": 1.0, "wheel_position": -1.0}
         tire: Row = {"wheel_position": 1.0, "road": -1.0}
@@ -272,7 +283,9 @@ def quarter_car(
     else:
         suspension, tire = {"suspension": 1.0}, {"tire": 1.0}
         moved = {"suspension": sprung, "tire": rolling}
+    # force of spring and damper of the suspension, force of the actuator
     strut, pushed = total((ks, suspension), (cs, sprung)), {"force": 1.0}
+    # Newton's second law of body and wheel
     rates = {
         **moved,
         body: total((-1.0 / mb, strut), (1.0 / mb, pushed)),
@@ -280,6 +293,7 @@ def quarter_car(
     }
     channels = {"road": "m" if height else "m/s"} | ({"force": "N"} if actuator else {})
     equations = BuilderEquations(rates, dict(zip(rates, ("m", "m", "m/s", "m/s"), strict=True)), channels)
+    # sensors by name
     readings = {
         "body_acceleration": Reading("m/s^2", {}, {body: 1.0}),
         "wheel_acceleration": Reading("m/s^2", {}, {wheel: 1.0}),
@@ -292,6 +306,7 @@ def quarter_car(
         "tire_deflection": Reading("m", tire),
     }
     asked = as_sensors(sensors, list(readings))
+    # resisting forces at the ports; the suspension acts on body and wheel with opposite signs
     on_body, on_wheel = {body: -1.0 / mb}, {wheel: -1.0 / mw}
     between = {body: -1.0 / mb, wheel: 1.0 / mw}
     ports = [
@@ -303,6 +318,7 @@ def quarter_car(
             ("wheel", "wheel itself", on_wheel, {wheel: 1.0}, {"wheel_position": 1.0}),
         )
     ]
+    # nominal parameters
     parameters = [
         NominalParameter("body_mass", mb, "kg", "mass", "body"),
         NominalParameter("wheel_mass", mw, "kg", "mass", "wheel"),

@@ -81,8 +81,10 @@ def series_rlc(
     [('L', 'inductor', 'H'), ('R', 'resistor', 'Ohm'), ('1/C', 'capacitor', '1/F')]
     """
     resistance = as_number(R, "R", positive=False)
+    # the circuit as a mass on a spring: charge for displacement, current for velocity
     inductance, elastance = as_number(L, "L"), 1.0 / as_number(C, "C")
     charge, current = {"charge": 1.0}, {"current": 1.0}
+    # voltmeters read the drop at their element
     readings = {
         "resistor_voltage": Reading("V", {"current": resistance}),
         "current": Reading("A", current),
@@ -91,12 +93,14 @@ def series_rlc(
         "inductor_voltage": Reading("V", {}, {"current": inductance}),
     }
     asked = as_sensors(sensors, list(readings))
+    # L di/dt = w - R i - q / C
     drops = {"charge": -elastance, "current": -resistance, "voltage": 1.0}
     equations = BuilderEquations(
         {"charge": current, "current": total((1.0 / inductance, drops))},
         {"charge": "C", "current": "A"},
         {"voltage": "V"},
     )
+    # three ports in one loop: the same current, a voltage drop as the force
     places = {"inductor": "rate of the current", "resistor": "current", "capacitor": "charge"}
     ports = [
         equations.port(
@@ -106,10 +110,12 @@ def series_rlc(
             current,
             charge,
             units=("C", "A", "V"),
+            # the voltmeter at the element reads the drop of an effect there, too
             output=[float(label == f"{place}_voltage") for label in asked],
         )
         for place, cause in places.items()
     ]
+    # nominal parameters
     parameters = [
         NominalParameter("L", inductance, "H", "mass", "inductor"),
         NominalParameter("R", resistance, "Ohm", "damping", "resistor"),
@@ -179,12 +185,14 @@ def thermal_network(
     >>> model.linear.input_labels
     ('heat1', 'ambient')
     """
+    # nodes, heat inputs and resistances
     stored = as_vector(capacities, "capacities")
     n = stored.size
     nodes = as_labels(states, "states", [f"T{i + 1}" for i in range(n)], error=ModelError)
     heated = as_indices(heat, "heat", "node", n)
     edges = _edges(resistances, n)
     ambient = as_flag(ambient_input, "ambient_input") and any(two is None for _, two in edges)
+    # inputs: heat flows, then the temperature of the surroundings
     channels = {f"heat{i + 1}": "W" for i in heated} | ({"ambient": "K"} if ambient else {})
     if not channels:
         raise ModelError(
@@ -195,22 +203,27 @@ def thermal_network(
     asked = range(n) if sensors is None else as_indices(sensors, "sensors", "node", n)
     if not asked:
         raise ModelError(f"sensors={sensors!r} must name at least one node")
+    # heat balance of each node: C_i dT_i/dt = heat_i - sum_j (T_i - T_j) / R_ij
     capacity = dict(zip(nodes, stored.tolist(), strict=True))
     ends = {(nodes[i], "ambient" if j is None else nodes[j]): R for (i, j), R in edges.items()}
     heats = {nodes[i]: {f"heat{i + 1}": 1.0 / capacity[nodes[i]]} for i in heated}
     rates = _rates(capacity, heats, ends)
     equations = BuilderEquations(rates, dict.fromkeys(nodes, "K"), channels)
+    # ports: from each node to the surroundings, then along each resistance
     places = [
         (node, f"node {node}: heat that it loses to the surroundings", {node: -1.0 / size}, "ambient")
         for node, size in capacity.items()
     ]
     for one, two in ends:
+        # heat leaves the first node and enters the second, over their capacities
         act = {one: -1.0 / capacity[one], two: 1.0 / capacity.get(two, 1.0)}
         places.append((f"{one}-{two}", f"heat from {one} to {two}, driven by their difference", act, two))
     ports = [
+        # a port senses the difference of the temperatures
         equations.port(place, words, act, {next(iter(act)): 1.0, other: -1.0}, units=("", "K", "W"))
         for place, words, act, other in places
     ]
+    # nominal parameters: capacities and conductances
     parameters = [
         NominalParameter(f"C[{node}]", size, "J/K", "mass", node) for node, size in capacity.items()
     ]
@@ -228,6 +241,7 @@ def _rates(
     """dT/dt of every node by nodes and inputs."""
     rates: dict[str, Row] = {node: heats.get(node, {}) for node in capacity}
     for (one, two), R in ends.items():
+        # flow into each end of a resistance
         for here, there in ((one, two), (two, one)):
             if here in capacity:
                 flow = 1.0 / (R * capacity[here])
@@ -248,9 +262,11 @@ def _edges(resistances: Any, n: int) -> dict[tuple[int, int | None], float]:
     for ends, value in resistances.items():
         if not isinstance(ends, tuple) or len(ends) != 2:
             raise ct.ControlArgument(f"the ends of a resistance must be a pair such as (1, 2), not {ends!r}")
+        # the surroundings come second
         first, second = ends[::-1] if ends[0] == 0 else ends
         one = as_index(first, "a node of resistances", n)
         two = None if second == 0 else as_index(second, "a node of resistances", n)
+        # each pair of nodes once, in either order
         if one == two or (one, two) in found or (two, one) in found:
             raise ModelError(
                 f"resistance {ends!r} joins a node to itself or a pair that is joined already; "
@@ -319,6 +335,7 @@ def two_tanks(
     array([[-0.25,  0.  ],
            [ 0.5 , -0.25]])
     """
+    # cross sections, outflows per level, gain of the pump
     (A1, A2), (k1, k2) = (as_vector(x, key, 2) for x, key in ((areas, "areas"), (outflows, "outflows")))
     gain = as_number(pump_gain, "pump_gain")
     units = {"level": level_unit, "flow": flow_unit, "pump": pump_unit}
@@ -327,12 +344,14 @@ def two_tanks(
     measured = [f"h{tank + 1}" for tank in as_indices(sensors, "sensors", "tank", 2)]
     if not measured:
         raise ModelError(f"sensors={sensors!r} must name at least one tank")
+    # balance of volume: A1 dh1/dt = gain w - k1 h1, A2 dh2/dt = k1 h1 - k2 h2
     equations = BuilderEquations(
         {"h1": {"h1": -k1 / A1, "pump": gain / A1}, "h2": {"h1": k1 / A2, "h2": -k2 / A2}},
         {"h1": level_unit, "h2": level_unit},
         {"pump": pump_unit},
     )
     passed = "flow from the upper tank into the lower, by the level of the upper"
+    # ports: a loss of either tank, and the flow from the upper into the lower one
     ports = [
         equations.port(place, words, act, {level: 1.0}, units=("", level_unit, flow_unit))
         for place, level, act, words in (
@@ -341,6 +360,7 @@ def two_tanks(
             ("tank1->tank2", "h1", {"h1": -1.0 / A1, "h2": 1.0 / A2}, passed),
         )
     ]
+    # units of outflow per level and of cross section
     per_level, area = (combine_units(rule, units) for rule in ("flow/level", "flow s/level"))
     labels = as_labels(inputs, "inputs", ["pump"], error=ModelError)
     parameters = [
@@ -348,6 +368,7 @@ def two_tanks(
         NominalParameter("k2", float(k2), per_level, "damping", "tank2"),
         NominalParameter("A1", float(A1), area, "mass", "tank1"),
         NominalParameter("A2", float(A2), area, "mass", "tank2"),
+        # the gain is in B already, so its parameter is a factor 1
         NominalParameter("pump_gain", 1.0, "1", "input_gain", labels[0], False),
     ]
     readings = {level: Reading(level_unit, {level: 1.0}) for level in measured}

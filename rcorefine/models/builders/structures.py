@@ -31,9 +31,9 @@ from ._assembly import (
 )
 from ._equations import as_index, as_vector
 
-_SHIFT = 1e-8  # below zero, in the middle of the squared frequencies that each displacement has alone
-_DENSE = 200  # displacements, up to which all modes are as fast
-_SAME = 1e-6  # relative difference of squared frequencies that says nothing
+_SHIFT = 1e-8  # shift below zero over the median of K_ii / M_ii
+_DENSE = 200  # displacements up to which a dense solver is as fast
+_SAME = 1e-6  # relative difference of squared frequencies that is rounding
 
 
 def mass_spring_damper(
@@ -111,6 +111,7 @@ def mass_spring_damper(
     >>> model.system.C
     array([[0., 0., 1., 0.]])
     """
+    # masses, dampers and springs; n or n + 1 links
     masses = as_vector(m, "m")
     n = masses.size
     given = {"c": as_vector(c, "c", positive=False), "k": as_vector(k, "k", positive=False)}
@@ -120,8 +121,10 @@ def mass_spring_damper(
                 f"{key} has {values.size} entries for {n} masses; give {n} (the far end is free) or {n + 1} "
                 "(the last joins the last mass to the ground)"
             )
+    # without a link at the far end, its damper and spring are zero
     count = max(values.size for values in given.values())
     damping, stiffness = (np.pad(values, (0, count - values.size)) for values in given.values())
+    # places: links between neighbors, then the masses themselves
     links = [_chain_link(n, i) for i in range(count)]
     points = [
         Place(f"mass{i + 1}", row, f"mass {i + 1} itself (d = q{i + 1})", True)
@@ -129,6 +132,7 @@ def mass_spring_damper(
     ]
     units = Units.of(position_unit, force_unit)
     options = BuilderArguments(excitation, "force", force, sensors, units, (inputs, outputs, states, name))
+    # nominal parameters at their places
     parameters = [
         NominalParameter(f"{letter}{i + 1}", value, options.units[kind], kind, place.name)
         for letter, kind, values, places in (
@@ -138,6 +142,7 @@ def mass_spring_damper(
         )
         for i, (value, place) in enumerate(zip(values.tolist(), places, strict=True))
     ]
+    # elongations d = G q: C = G' diag(c) G, K = G' diag(k) G
     G = np.array([link.direction for link in links])
     structure = np.diag(masses), G.T @ np.diag(damping) @ G, G.T @ np.diag(stiffness) @ G
     return assembled(structure, [*links, *points], parameters, options)
@@ -145,6 +150,7 @@ def mass_spring_damper(
 
 def _chain_link(n: int, i: int) -> Place:
     """Elongation of link i + 1 of a chain of n masses."""
+    # d = q_(i+1) - q_i; the ground has no coordinate
     row = unit_vector(n, (min(i, n - 1), 1.0), *[(i - 1, -1.0)] * (0 < i < n))
     if i == 0:
         words = "between the ground and mass 1 (d = q1)"
@@ -256,30 +262,36 @@ def mechanical(
     options = BuilderArguments(
         excitation, "force_map", force_map, sensors, units, (inputs, outputs, states, name)
     )
+    # n numbers make a diagonal mass matrix
     if not issparse(M):
         M = np.atleast_1d(as_array(M, "M", error=ModelError))
         M = diags(as_vector(M, "M"), format="csc") if M.ndim == 1 else M
     n = M.shape[0]
+    # full matrices without `n_modes`, sparse ones with it
     whole = n_modes is None
     mass = _matrix(M, "M", n, whole)
     stiffness = _matrix(csc_matrix((n, n)) if K is None else K, "K", n, whole)
     damping = None if C is None else _matrix(C, "C", n, whole, symmetric=False)
     if C is not None and damping_ratio is not None:
         raise ct.ControlArgument("give C or damping_ratio, not both")
+    # finite elements: keep the lowest modes only
     if not whole:
         count = as_index(n_modes, "n_modes", n) + 1
         return _by_modes((mass, damping, stiffness), count, damping_ratio, links, options)
+    # M is positive definite if its smallest eigenvalue is positive
     smallest = float(np.linalg.eigvalsh(mass)[0])
     if smallest <= 0:
         raise ModelError(
             f"M must be positive definite, its smallest eigenvalue is {smallest:g}; "
             "every displacement needs a mass"
         )
+    # a damping matrix that is not symmetric (gyroscopic forces) is no sum of dampers
     nothing = np.zeros((n, n))
     listed = nothing if damping is None or not np.allclose(damping, damping.T) else damping
     if damping is None:
         damping = nothing if damping_ratio is None else _modal_damping(mass, stiffness, damping_ratio)
-    places, pairs = _found_links(stiffness, listed) if links is None else _named_links(links, n)
+    # places: coupled pairs or those of the user, then the displacements themselves
+    places, pairs = _coupled_links(stiffness, listed) if links is None else _user_links(links, n)
     points = [
         Place(f"mass{i + 1}", row, f"displacement {i + 1} itself (d = q{i + 1})", True)
         for i, row in enumerate(np.eye(n))
@@ -290,6 +302,7 @@ def mechanical(
 
 def _matrix(value: Any, name: str, size: int, dense: bool, *, symmetric: bool = True) -> Any:
     """Return a square matrix of finite numbers, sparse unless `dense`."""
+    # sparse matrices: only the entries that are stored
     sparse = issparse(value)
     if sparse and not dense:
         if value.dtype.kind not in "fiu":
@@ -306,6 +319,7 @@ def _matrix(value: Any, name: str, size: int, dense: bool, *, symmetric: bool = 
             f"{name} is not symmetric; a Matrix Market file that holds a half must say `symmetric`"
         )
     if isinstance(matrix, np.ndarray):
+        # symmetric within rounding
         if symmetric and not np.allclose(matrix, matrix.T, rtol=1e-8, atol=1e-10 * np.abs(matrix).max()):
             i, j = np.unravel_index(np.argmax(np.abs(matrix - matrix.T)), matrix.shape)
             raise ModelError(
@@ -324,11 +338,14 @@ def _by_modes(
     """
     M, C, K = structure
     n = M.shape[0]
+    # modal coordinates: q = Phi eta, Phi' M Phi = I, Phi' K Phi = diag(omega^2)
     squares, shapes = _lowest_modes(M, K, r)
+    # Phi' C Phi, or 2 zeta omega on the diagonal
     damping = np.zeros((r, r)) if C is None else shapes.T @ (C @ shapes)
     if ratio is not None:
         damping = np.diag(2.0 * _ratios(ratio, r) * np.sqrt(squares))
-    places = [] if links is None else _named_links(links, n)[0]
+    places = [] if links is None else _user_links(links, n)[0]
+    # inputs, sensors and links of the structure, projected on the modes
     drive = input_map(options, M)
     found = parse_sensors(options, n, {place.name: place for place in places}, drive.base)
     sensors = {label: sensor._replace(motion=sensor.motion @ shapes) for label, sensor in found.items()}
@@ -337,14 +354,17 @@ def _by_modes(
         for i, (row, w2) in enumerate(zip(np.eye(r), squares, strict=True))
     ]
     own = [place._replace(direction=place.direction @ shapes) for place in places]
+    # nominal parameters of each mode: damping 2 zeta omega, stiffness omega^2
     parameters = [
         NominalParameter(f"{kind[0]}[{mode.name}]", float(value), "", kind, mode.name)
         for kind, values in (("damping", np.diag(damping)), ("stiffness", squares))
         for mode, value in zip(modes, values, strict=True)
     ]
+    # the mass matrix is the identity
     modal = np.eye(r), damping, np.diag(squares)
     drive = InputMap(shapes.T @ drive.force, 0.0 * drive.base, drive.inputs)
     model = second_order(modal, drive, [*own, *modes], sensors, parameters, options, ("eta", "deta"))
+    # modal coordinates have no physical unit
     ports = [
         replace(port, modal=True, position_unit="", velocity_unit="", force_unit="")
         for port in model.ports[len(own) :]
@@ -363,10 +383,13 @@ def _lowest_modes(M: csc_matrix, K: csc_matrix, count: int) -> tuple[Array, Arra
         If M is not positive definite, K has a negative direction, or modes cannot be told from others.
     """
     n = M.shape[0]
+    # no negative pivots: M is positive definite
     if M.diagonal().min() <= 0 or _negative(M):
         raise ModelError("M must be positive definite: every displacement needs a mass")
+    # shift just below zero, since rigid-body modes make K singular
     middle = float(np.median(np.abs(K.diagonal()) / M.diagonal())) or 1.0
     shift = -_SHIFT * middle
+    # small structures: dense generalized eigenvalue problem
     if n <= _DENSE or 2 * count >= n:
         squares, shapes = eigh(K.toarray(), M.toarray(), subset_by_index=[0, count - 1])
     else:
@@ -375,7 +398,9 @@ def _lowest_modes(M: csc_matrix, K: csc_matrix, count: int) -> tuple[Array, Arra
         raise ModelError(
             f"K has a negative direction (omega^2 = {squares[0]:g}); the structure would not stand"
         )
+    # rigid-body modes: exactly zero
     squares = np.where(np.abs(squares) <= _SAME * abs(shift), 0.0, squares)
+    # the largest entry of each mode shape is positive
     shapes = shapes * np.sign(shapes[np.argmax(np.abs(shapes), axis=0), np.arange(count)])
     return squares, shapes
 
@@ -385,9 +410,11 @@ def _by_lanczos(M: csc_matrix, K: csc_matrix, count: int, shift: float) -> tuple
 
     The shift lies below zero, because rigid-body modes make K itself singular.
     """
+    # negative pivots count the eigenvalues below the shift (Sylvester's law of inertia)
     solved = _factors(K - shift * M)
     if (solved.U.diagonal() < 0).any():
         raise ModelError("K has a negative direction; the structure would not stand")
+    # Lanczos iteration on (K - shift M)^-1 M
     try:
         squares, shapes = eigsh(
             K,
@@ -401,7 +428,7 @@ def _by_lanczos(M: csc_matrix, K: csc_matrix, count: int, shift: float) -> tuple
         raise ModelError(f"the lowest {count} modes did not converge: {error}") from error
     order = np.argsort(squares)
     squares, shapes = squares[order], shapes[:, order]
-    # none is left out where as many lie below the last as were found there (Sylvester)
+    # check: the number of modes below the last one, by Sylvester's law of inertia
     last = squares[-1] - _SAME * (squares[-1] - shift)
     if _negative(K - last * M) != int((squares < last).sum()):
         raise ModelError(f"a mode below {np.sqrt(squares[-1]):g} rad/s was missed; ask for other n_modes")
@@ -435,23 +462,27 @@ def _ratios(ratio: Any, count: int) -> Array:
 
 
 def _modal_damping(M: Array, K: Array, ratio: Any) -> Array:
+    # modes with Phi' M Phi = I
     values = _ratios(ratio, M.shape[0])
     squared, modes = eigh(K, M)
     if squared[0] < -1e-9 * np.abs(squared).max():
         raise ModelError(
             f"K has a negative direction (omega^2 = {squared[0]:g}), so damping ratios mean nothing; give C"
         )
+    # C = M Phi diag(2 zeta omega) Phi' M
     shape = M @ modes
     damping = shape @ np.diag(2.0 * values * np.sqrt(np.maximum(squared, 0.0))) @ shape.T
+    # exactly symmetric
     return np.asarray((damping + damping.T) / 2)
 
 
-def _found_links(K: Array, C: Array) -> tuple[list[Place], dict[tuple[int, ...], str]]:
+def _coupled_links(K: Array, C: Array) -> tuple[list[Place], dict[tuple[int, ...], str]]:
     """Return a place for each coupled pair, and names by mass or pair."""
     n = K.shape[0]
     places: list[Place] = []
     names: dict[tuple[int, ...], str] = {(i,): f"mass{i + 1}" for i in range(n)}
     for i, j in combinations(range(n), 2):
+        # coupled, relative to the diagonal entries
         if any(abs(X[i, j]) > 1e-12 * np.sqrt(abs(X[i, i] * X[j, j])) for X in (K, C) if X[i, j]):
             names[i, j] = f"mass{i + 1}-mass{j + 1}"
             words = f"between displacements {i + 1} and {j + 1} (d = q{i + 1} - q{j + 1})"
@@ -459,7 +490,7 @@ def _found_links(K: Array, C: Array) -> tuple[list[Place], dict[tuple[int, ...],
     return places, names
 
 
-def _named_links(links: Any, n: int) -> tuple[list[Place], dict[tuple[int, ...], str]]:
+def _user_links(links: Any, n: int) -> tuple[list[Place], dict[tuple[int, ...], str]]:
     """Places that the user named, and names by mass or pair."""
     places: list[Place] = []
     masses: dict[tuple[int, ...], str] = {(i,): f"mass{i + 1}" for i in range(n)}
@@ -469,12 +500,14 @@ def _named_links(links: Any, n: int) -> tuple[list[Place], dict[tuple[int, ...],
     for label, ends in links.items():
         if not isinstance(label, str) or not label or label in masses.values():
             raise ModelError(f"a link cannot be named {label!r}; mass1, mass2, ... are the masses")
+        # a vector g: d = g q
         if isinstance(ends, np.ndarray):
             if ends.shape != (n,) or not np.isfinite(ends).all() or not ends.any():
                 raise ct.ControlDimension(f"link {label!r} must be a finite, nonzero vector of length {n}")
             places.append(Place(label, ends.astype(float), "d = g @ q with the given vector", False))
             continue
         entries = _ends(label, ends, n)
+        # two places must not have the same ends
         key = tuple(sorted(i for i, _ in entries))
         if key in joined:
             raise ModelError(f"links {joined[key]!r} and {label!r} join the same ends; give one")
@@ -501,6 +534,7 @@ def _link_parameters(
 ) -> list[NominalParameter]:
     """Return masses if M is diagonal, and springs and dampers with a place."""
     found: list[NominalParameter] = []
+    # masses only of a diagonal mass matrix
     if not np.any(M - np.diag(np.diag(M))):
         found += [
             NominalParameter(f"m{i + 1}", float(mass), units["mass"], "mass", f"mass{i + 1}")
@@ -509,6 +543,7 @@ def _link_parameters(
     for kind, X in (("damping", C), ("stiffness", K)):
         letter = "k" if kind == "stiffness" else "c"
         for key, place in names.items():
+            # spring between a pair: -K_ij; to the ground: sum of row i
             value = -X[key] if len(key) == 2 else X[key[0]].sum()
             if abs(value) > 1e-12 * np.abs(X).max(initial=0.0):
                 found.append(NominalParameter(f"{letter}[{place}]", float(value), units[kind], kind, place))
