@@ -15,9 +15,9 @@ import pytest
 import scipy.io
 
 import rcorefine as rco
-from rcorefine.commands import EXAMPLES as NAMES
 from rcorefine.commands.analysis import wanted_candidates
 from rcorefine.commands.cli import main
+from rcorefine.commands.example import EXAMPLES as NAMES
 from rcorefine.commands.example import example_csv, example_toml
 from rcorefine.data.channels import read_record
 from rcorefine.models.reading import builder_names, read_model
@@ -161,7 +161,7 @@ def test_a_fault_of_the_program_is_no_answer(call, monkeypatch):
     def broken(*_, **__):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("rcorefine.commands.analysis.compare", broken)
+    monkeypatch.setattr(rco, "compare", broken)
     code, out, err = call("compare", "model.toml", "right.csv")
     assert code == 3
     assert out == ""

@@ -9,14 +9,13 @@ import stat
 import subprocess
 import sys
 import textwrap
-from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine.commands.example import example_csv, run_example
+from rcorefine.commands.example import example, example_csv
 from rcorefine.views.page import Page, check_target, write_page
 from rcorefine.writing import replacing
 
@@ -85,7 +84,7 @@ def test_a_full_disk_leaves_no_half_example(tmp_path):
     resource.setrlimit(resource.RLIMIT_FSIZE, (3000, hard))  # room for the model, not for the record
     try:
         with pytest.raises(OSError, match=r"two_tanks\.csv"):
-            run_example(Namespace(name="two_tanks", write=tmp_path / "new", seed=1, exact=False))
+            example("two_tanks", write=tmp_path / "new")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert names(tmp_path / "new") == []

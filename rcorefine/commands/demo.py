@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import sys
 import textwrap
-from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 
-from ..comparison import Comparison, compare
-from ..data.measurement import Measurement
-from ..diagnosis import Diagnosis, diagnose
-from ..diagnosis.improve import improve
-from ..diagnosis.result import Improvement
-from ..effects.effect import Effect
+from rcorefine import (
+    Comparison,
+    Diagnosis,
+    Effect,
+    Improvement,
+    Measurement,
+    PhysicalModel,
+    compare,
+    diagnose,
+    improve,
+    mass_spring_damper,
+)
+
 from ..exercises.plants import hidden_outputs, noisy, record_of
 from ..jit import NUMBA
-from ..models.builders import mass_spring_damper
-from ..models.physical_model import PhysicalModel
-from ..views.page import write_png
 from ..writing import replacing
 
 N_SAMPLES, DT = 2000, 0.01
@@ -34,15 +37,20 @@ WIDTH = 78
 _SHARP = 1e-3  # of the simulated truth: a sharper sign(v) than the estimator's
 
 
-def run_demo(arguments: Namespace) -> int:
-    """Compare, diagnose, refine, compare again, improve; print and draw it.
+def demo(*, output: Path = Path("rcorefine-demo"), seed: int = 1, quiet: bool = False) -> int:
+    """Run the workflow on an example, and draw it.
+
+    A structure whose model lacks friction: compare the model with a noisy record, diagnose, refine, and
+    compare again on held-out data. Then do the same with two effects, step by step. Takes up to a minute.
 
     Parameters
     ----------
-    arguments : Namespace
-        ``output`` (folder for the pictures ``overview.png``, ``map.png``, ``diagnosis.png`` and
-        ``staircase.png`` and for ``report.html``, made if absent), ``seed`` of the excitation and the noise,
-        and ``quiet`` to show no steps of the long parts on standard error.
+    output : Path
+        Folder for the pictures and the report, created if absent.
+    seed : int
+        Seed of the excitation and the noise, 0 or larger.
+    quiet : bool
+        No progress bar.
 
     Returns
     -------
@@ -56,15 +64,14 @@ def run_demo(arguments: Namespace) -> int:
     FileExistsError
         If ``report.html`` is there and is no report.
     """
-    progress = not arguments.quiet
-    folder = Path(arguments.output)
+    progress, folder = not quiet, output
     folder.mkdir(parents=True, exist_ok=True)  # before the work, not after it
 
     if progress and NUMBA:
         sys.stderr.write(
             "(numba compiles on first use, which takes part of a minute; later runs take seconds)\n"
         )
-    rng = np.random.default_rng(arguments.seed)
+    rng = np.random.default_rng(seed)
     model = mass_spring_damper(
         [1.0, 1.2], [0.4, 0.4, 0.4], [300.0, 250.0, 200.0], sensors=("velocity", 1), name="model"
     )
@@ -165,7 +172,7 @@ def _draw(
     }
     for name, (figure, dpi) in pictures.items():
         with replacing(folder / name) as stream:
-            write_png(figure, stream, dpi)
+            figure.savefig(stream, format="png", dpi=dpi)
     found.report(folder / "report.html")
     plt.close("all")
     return {

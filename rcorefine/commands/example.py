@@ -8,14 +8,13 @@ from __future__ import annotations
 import io
 import sys
 import textwrap
-from argparse import Namespace
+from argparse import ArgumentTypeError
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..writing import replacing
-from . import EXAMPLES
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +139,7 @@ sensors = ["body_acceleration", "suspension_deflection"]
     ),
 }  # fmt: skip
 
+EXAMPLES = tuple(_EXAMPLES)
 _SAMPLES = 2500
 _NOISE = 0.02
 _SHOWN = 6
@@ -178,17 +178,17 @@ def example_csv(name: str, *, seed: int = 1, exact: bool = False) -> str:
     str
         CSV with a header line: time, inputs, outputs.
     """
-    from ..effects.effect import Effect
+    import rcorefine as rco
+
     from ..exercises.plants import hidden_outputs, noisy, record_of
-    from ..models.conversion import as_physical
 
     made = _EXAMPLES[name]
     rng = np.random.default_rng(seed)
-    model = as_physical(_model_of(made.toml))
+    model = rco.physical(_model_of(made.toml))
     linear = model.linear
     steps = rng.standard_normal((linear.n_inputs, -(-_SAMPLES // made.hold)))
     w = made.mean + made.amplitude * np.repeat(steps, made.hold, axis=1)[:, :_SAMPLES]
-    hidden = {} if exact else {Effect(made.kind, made.place): made.values}
+    hidden = {} if exact else {rco.Effect(made.kind, made.place): made.values}
     blank = record_of(model, w, dt=made.dt)
     y = hidden_outputs(model, hidden, blank, {0: made.width} if made.width and hidden else None)
     y = noisy(y, _NOISE, np.random.default_rng([seed, 1]))  # the same with and without the effect
@@ -210,13 +210,29 @@ def _model_of(toml: str) -> object:
         return read_model(path)
 
 
-def run_example(arguments: Namespace) -> int:
-    """Print an example of both files, or write them.
+def example(
+    name: str = "mass_spring_damper",
+    /,
+    *,
+    write: Path | None = None,
+    seed: int = 1,
+    exact: bool = False,
+) -> int:
+    """Print an example of a model file and of a record, or write both.
+
+    The record contains an effect that is missing in the model, so compare and diagnose end with exit code 1.
 
     Parameters
     ----------
-    arguments : Namespace
-        ``name``, ``write`` (folder or None), ``seed``, ``exact``.
+    name : str
+        One of mass_spring_damper, state_space, mechanical, series_rlc, dc_motor, two_tanks,
+        thermal_network, quarter_car.
+    write : Path, optional
+        Write NAME.toml and NAME.csv into this folder.
+    seed : int
+        Seed of the record.
+    exact : bool
+        A record without a missing effect, so that the model is adequate.
 
     Returns
     -------
@@ -228,13 +244,14 @@ def run_example(arguments: Namespace) -> int:
     FileExistsError
         If a file is there already; nothing is written then.
     """
-    name = arguments.name
+    if name not in EXAMPLES:
+        raise ArgumentTypeError(f"argument NAME: {name!r} is not one of {', '.join(EXAMPLES)}")
     toml = example_toml(name)
-    csv = example_csv(name, seed=arguments.seed, exact=arguments.exact)
-    folder = Path() if arguments.write is None else arguments.write
+    csv = example_csv(name, seed=seed, exact=exact)
+    folder = Path() if write is None else write
     model, record = folder / f"{name}.toml", folder / f"{name}.csv"
     commands = "".join(f"rcorefine {word} {model} {record}\n" for word in ("compare", "diagnose", "improve"))
-    if arguments.write is not None:
+    if write is not None:
         for path in (model, record):
             if path.exists():
                 raise FileExistsError(f"{path} exists; choose another folder or remove it")

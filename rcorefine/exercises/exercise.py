@@ -21,13 +21,12 @@ from typing import Any
 import control as ct
 import numpy as np
 
+from rcorefine import Effect, Measurement, PhysicalModel
+
 from ..arguments import as_choice, as_flag, as_number, as_path, as_text, as_whole
 from ..data.formats import damaged
-from ..data.measurement import Measurement
 from ..effects.domains import kind_named
-from ..effects.effect import Effect
 from ..exceptions import DataError, ModelError
-from ..models.physical_model import PhysicalModel
 from ..results import Reported, Result, Row
 from ..writing import read_archive, replacing
 from .hiding import LEVELS, TRAINING, Accepted, hide

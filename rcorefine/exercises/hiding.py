@@ -10,13 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..data.measurement import Measurement
-from ..diagnosis.diagnose import diagnose
-from ..diagnosis.result import Diagnosis
-from ..effects.effect import Effect
-from ..engine.simulation import simulate
+from rcorefine import Diagnosis, Effect, Measurement, PhysicalModel, diagnose, simulate
+
 from ..exceptions import DivergenceError, ModelError, unheard
-from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .plants import ExercisePlant, hidden_outputs, noisy, record_of
 

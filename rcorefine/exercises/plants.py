@@ -12,14 +12,21 @@ from dataclasses import dataclass
 import control as ct
 import numpy as np
 
-from ..data.measurement import Measurement
-from ..effects.effect import Effect
+from rcorefine import (
+    Effect,
+    Measurement,
+    PhysicalModel,
+    dc_motor,
+    effect_library,
+    mass_spring_damper,
+    mechanical,
+    physical,
+    series_rlc,
+    thermal_network,
+)
+
 from ..engine.engine import Engine
 from ..engine.structure import Structure
-from ..models.builders import dc_motor, mass_spring_damper, mechanical, series_rlc, thermal_network
-from ..models.conversion import physical
-from ..models.library import effect_library
-from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
 _SUBSTEPS = 16

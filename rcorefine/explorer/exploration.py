@@ -12,19 +12,26 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.linalg import expm
 
+from rcorefine import (
+    Check,
+    Comparison,
+    Diagnosis,
+    Effect,
+    Measurement,
+    PhysicalModel,
+    Refinement,
+    check,
+    compare,
+    diagnose,
+    refine,
+)
+
 from ..arguments import as_choice, as_instance, as_number
-from ..comparison.compare import compare
 from ..comparison.failure_map.search import Failure
 from ..comparison.failure_map.state import ResidualForce, residual_force
-from ..comparison.result import Comparison
-from ..data.measurement import Measurement
 from ..data.records import as_record
 from ..diagnosis.case import candidates_of, not_held
-from ..diagnosis.check import check
-from ..diagnosis.check_rows import Check
-from ..diagnosis.diagnose import diagnose
-from ..diagnosis.result import Diagnosis
-from ..effects.effect import Effect, unit_forces
+from ..effects.effect import unit_forces
 from ..engine.amplitude_response import engine_on
 from ..engine.controlled import checked_horizon
 from ..engine.structure import Structure
@@ -32,12 +39,10 @@ from ..exceptions import DivergenceError, ModelError, own_arithmetic
 from ..inference.assembly import windows
 from ..inference.outcome import fit_of, output_weights
 from ..inference.problem import Problem, descend, natural_sizes
-from ..inference.refinement import Refinement
 from ..inference.starts import Motion, estimated_motion, law_widths, shape_starts
 from ..models.conversion import as_model, as_physical
 from ..models.operating_point import ordered_record
-from ..models.physical_model import PhysicalModel
-from ..refinement.refine import base_fit, refine
+from ..refinement.refine import base_fit
 from ..systems.linear import Array, LinearModel
 from ..views.code import call_options, comment, effects_code, model_code, record_code, script
 

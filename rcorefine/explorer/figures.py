@@ -12,11 +12,10 @@ import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, PlainText, Range1d
 from bokeh.plotting import figure
 
+from rcorefine import FrequencyResponse, Measurement, Refinement
+
 from ..comparison.failure_map.state import ResidualForce
-from ..data.frequency_response import FrequencyResponse
-from ..data.measurement import Measurement
 from ..exceptions import DataError
-from ..inference.refinement import Refinement
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
 from .exploration import Addition, Exploration, ExplorationStep

@@ -21,10 +21,9 @@ from bokeh.server.auth_provider import NullAuth
 from tornado.httputil import HTTPHeaders, HTTPServerRequest
 from tornado.web import HTTPError, OutputTransform, RequestHandler
 
+from rcorefine import Check, Diagnosis, Effect
+
 from ..comparison.failure_map.search import Failure, FailureMap
-from ..diagnosis.check_rows import Check
-from ..diagnosis.result import Diagnosis
-from ..effects.effect import Effect
 from ..exceptions import RCOError, unheard
 from ..views.failure_map import ROLES
 from ..views.tables import html_table, number

@@ -8,8 +8,9 @@ import time
 import webbrowser
 from typing import Any
 
+from rcorefine import Measurement
+
 from ..arguments import as_flag, as_whole
-from ..data.measurement import Measurement
 from ..exceptions import needed
 from ..results import counted
 from .exploration import Exploration

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..effects.effect import Effect
+from rcorefine import Effect
+
 from ..results import Row
 from ..systems.linear import Array
 from . import pooling

@@ -18,12 +18,11 @@ from typing import Any
 
 import control as ct
 
+from rcorefine import Effect, Measurement, Refinement
+
 from ..arguments import as_path, shown
 from ..data.channels import SUFFIXES, read_record
-from ..data.measurement import Measurement
-from ..effects.effect import Effect
 from ..exceptions import DataError, ModelError
-from ..inference.refinement import Refinement
 from ..models.conversion import as_physical
 from ..models.reading import read_model
 from .comparison import SurveyRow
@@ -222,19 +221,6 @@ def _natural(path: Path) -> list[tuple[bool, int, str]]:
     """Order of names in which run2 comes before run10."""
     parts = re.findall(r"\d+|\D+", path.name)
     return [(part.isdigit(), int(part) if part.isdecimal() else 0, part) for part in parts]
-
-
-def model_for(path: Path) -> Any:
-    """Return the model of a file, or the first model of a folder.
-
-    Names that are valid for all machines are looked up in it.
-    """
-    if not path.is_dir():
-        return read_model(path)
-    found = _in_folder(path, _MODELS)
-    if not found:
-        raise ModelError(f"{path} holds no model: {', '.join(_MODELS)}")
-    return read_model(next(iter(found.values()))[0])
 
 
 def _models(models: Any, machines: list[str]) -> dict[str, Any]:

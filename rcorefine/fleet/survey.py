@@ -10,14 +10,11 @@ from typing import Any
 
 import control as ct
 
+from rcorefine import Effect, diagnose, improve, localize_damage, refine
+
 from ..arguments import as_choice, as_mapping, as_share
 from ..data.channels import read_record
-from ..diagnosis.diagnose import diagnose
-from ..diagnosis.improve import improve
-from ..effects.effect import Effect
-from ..localization.localize import localize_damage
 from ..progress import Progress
-from ..refinement.refine import refine
 from .comparison import SurveyRow, fleet_effects, trends
 from .executing import as_submitter, work_off
 from .pieces import Piece, again, examine, pieces_of

@@ -6,14 +6,17 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from ..data.measurement import Measurement
-from ..diagnosis.diagnose import diagnose
-from ..diagnosis.improve import improve
-from ..effects.effect import Effect
-from ..inference.parameters import EstimatedParameter
-from ..inference.refinement import Refinement
-from ..localization.localize import localize_damage
-from ..refinement.refine import refine
+from rcorefine import (
+    Effect,
+    EstimatedParameter,
+    Measurement,
+    Refinement,
+    diagnose,
+    improve,
+    localize_damage,
+    refine,
+)
+
 from .comparison import Estimate
 
 _Leading = tuple[str | None, str | None]  # kind and place of an effect
