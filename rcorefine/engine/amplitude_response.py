@@ -274,13 +274,13 @@ _BATCH = 4_000_000  # complex numbers at once (64 MB)
 
 def engine_on(
     structure: Structure,
-    data: Measurement | ResponseRecord,
+    data: Any,
     *,
     substeps: int = 1,
     initial: Array | None = None,
 ) -> Engine | ResponseEngine:
     """Return the engine for a time record or for a frequency response."""
-    if isinstance(data, ResponseRecord):
+    if not data.in_time:
         return ResponseEngine(structure, data, substeps=substeps)
     return Engine(structure, data, substeps=substeps, initial=initial, lead=leading_gain(structure, data))
 
@@ -313,6 +313,7 @@ class ResponseEngine:
     """
 
     lead: Array | None = None  #: no observer leads a response
+    stepped = False  #: no substeps
 
     def __init__(self, structure: Structure, data: ResponseRecord, *, substeps: int = 1) -> None:
         self.structure, self.data, self.substeps = structure, data, substeps

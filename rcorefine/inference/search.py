@@ -11,7 +11,6 @@ from itertools import pairwise
 import numpy as np
 
 from ..data.measurement import Measurement
-from ..data.response_record import in_frequency
 from ..engine.amplitude_response import ResponseEngine, is_linear
 from ..engine.engine import Engine
 from ..engine.initial_state import estimate_initial_state
@@ -158,7 +157,7 @@ def search(
             if found is not None:
                 polished.append(found)
 
-    if not structure.is_linear and trial.in_time:
+    if trial.stepped:
         grow(_FAIR)
     if min(entry[0] for entry in polished) > _POOR * level:
         far: list[tuple[float, Array]] = []
@@ -284,7 +283,7 @@ def sufficient_steps(
         (to be judged again), 8 times as many at most.
     """
     steps = coarse.substeps
-    if coarse.structure.is_linear or not coarse.in_time or steps >= _MOST_SUBSTEPS:
+    if not coarse.stepped or steps >= _MOST_SUBSTEPS:
         return steps
     shift = step_matters(coarse, problem(segments, 2 * steps, coarse.free_start), point)
     if shift < _STEP_SHARE:
@@ -295,7 +294,7 @@ def sufficient_steps(
 
 
 def _shortened(windows: Sequence[Measurement]) -> list[Measurement]:
-    if in_frequency(windows):
+    if not windows[0].in_time:
         return list(windows)
     kept: list[Measurement] = []
     total = 0
