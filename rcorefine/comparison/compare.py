@@ -12,14 +12,12 @@ from ..arguments import as_state
 from ..data.channels import Channels, aligned, match_channels, record_for, resting_inputs, with_outputs
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
-from ..data.records import FreeRun, as_record
-from ..data.response_record import in_frequency
+from ..data.records import FreeRun, as_data
 from ..effects.given import Table, share_beyond
 from ..engine.controlled import as_it_runs, checked_horizon, free_runs, runs_away
 from ..engine.observer import leading_ratio
 from ..engine.simulation import simulated, structure_of, unjudged_samples
 from ..exceptions import DataError, DivergenceError
-from ..inference.assembly import as_data
 from ..models.controller import Controller, completed
 from ..models.conversion import known_physical, under_control
 from ..models.operating_point import ordered_record
@@ -115,23 +113,19 @@ def compare(
     (True, True)
     """
     # measured frequency responses are compared over frequency, records over time
-    responses = in_frequency(data)
-    if responses:
-        as_data(data, x0=x0, horizon=horizon, controller=controller)
-    else:
-        as_record(data)
-        horizon = checked_horizon(horizon, known_start=as_state(x0) is not None)
     # one model or several; a controller closes the loop around each
+    given = as_data(data, x0=x0, horizon=horizon, controller=controller, several=False)
     several = isinstance(model, (list, tuple))
     models = [under_control(each, controller, data) for each in (model if several else [model])]
     if not models:
         raise ct.ControlArgument("no model to compare; give one StateSpace or a list of them")
     linear = [LinearModel.from_statespace(getattr(each, "system", each)) for each in models]
     names = _unique([each.name for each in linear])
-    if responses:
-        named = [each.with_arrays(name=name) for each, name in zip(linear, names, strict=True)]
-        return compare_responses(models, named, data, several=several)
-    return _on_record(models, linear, names, data, x0, horizon, several)
+    if given[0].in_time:
+        horizon = checked_horizon(horizon, known_start=as_state(x0) is not None)
+        return _on_record(models, linear, names, given[0], x0, horizon, several)
+    named = [each.with_arrays(name=name) for each, name in zip(linear, names, strict=True)]
+    return compare_responses(models, named, data, several=several)
 
 
 def _on_record(

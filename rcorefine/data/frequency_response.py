@@ -32,6 +32,7 @@ from ..results import Options, Result, picture, show
 from ..systems.linear import Array
 from . import HOLDS
 from .formats import damaged, names_of, read_uff_responses
+from .record import FrequencyRecord
 from .signals import default_labels
 from .tables import read_csv
 
@@ -112,7 +113,7 @@ def _as_amplitude(value: Any, n: int, order: NDArray[np.intp]) -> Array | None:
     return np.broadcast_to(peaks, (n,))[order].copy()
 
 
-class FrequencyResponse(Result, ct.FrequencyResponseData):  # type: ignore[misc]
+class FrequencyResponse(Result, FrequencyRecord, ct.FrequencyResponseData):  # type: ignore[misc]
     """Measured frequency response, with its uncertainty.
 
     It passes wherever python-control takes a `FrequencyResponseData`; what is computed
@@ -474,6 +475,16 @@ class FrequencyResponse(Result, ct.FrequencyResponseData):  # type: ignore[misc]
         bool
         """
         return False
+
+    @property
+    def n_balances(self) -> int:
+        """Number of frequencies that may need a harmonic balance."""
+        return 0 if self.amplitude is None else self.omega.size
+
+    @property
+    def n_inputs(self) -> int:
+        """Number of inputs."""
+        return int(self.ninputs)
 
     @property
     def response(self) -> NDArray[np.complex128]:

@@ -27,6 +27,7 @@ from ..results import Options, Result, counted, picture, show
 from ..systems.linear import Array
 from . import HOLDS
 from .readers import RecordReaders
+from .record import TimeRecord
 from .resampling import decimated
 from .signals import as_signals, as_time_grid, check_finite, check_sizes, default_labels
 
@@ -45,7 +46,7 @@ _UNDRIVEN = object()  # in place of inputs: nothing drives the system
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
-class Measurement(Result, RecordReaders):
+class Measurement(Result, RecordReaders, TimeRecord):
     """Measured inputs and outputs on a regular time grid.
 
     The record keeps read-only copies: nothing that you do to your arrays
@@ -694,6 +695,11 @@ class Measurement(Result, RecordReaders):
         found = decimated(self.inputs, self.outputs, self.dt, self.timepts, self.hold, int(factor))
         kept = {"notes": (*self.notes, *found.notes), "elapsed": self.elapsed + found.elapsed}
         return self._changed(**found._asdict() | kept)
+
+    @property
+    def error_units(self) -> tuple[str, ...]:
+        """Units of the error of each output."""
+        return self.output_units
 
     def _part(self, where: slice, hold: str | None = None) -> Self:
         return self._changed(

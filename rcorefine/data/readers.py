@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -103,8 +104,8 @@ class RecordReaders:
         >>> rco.Measurement.from_csv(path, "U", "n", time="t", dt=0.1).n_samples  # the clock jitters
         6
         """
-        how = {"delimiter": delimiter, "decimal": decimal, "header": header}
-        return cls._read(read_csv, path, inputs, outputs, time, dt, options, **how)
+        reader = partial(read_csv, delimiter=delimiter, decimal=decimal, header=header)
+        return cls._read(reader, path, inputs, outputs, time=time, dt=dt, **options)
 
     @classmethod
     def from_mat(
@@ -112,9 +113,6 @@ class RecordReaders:
         path: str | PathLike[str],
         inputs: str | Sequence[str],
         outputs: str | Sequence[str],
-        *,
-        time: str | None = None,
-        dt: float | None = None,
         **options: Any,
     ) -> Self:
         """Read vectors from a MATLAB file (of version 7.3 with h5py).
@@ -126,8 +124,8 @@ class RecordReaders:
         inputs, outputs : str or sequence of str
             Variables of shape (N, 1) or (1, N), which become the labels; the
             field of a structure as "data.voltage".
-        time, dt, **options
-            As in `from_csv`.
+        **options
+            `time`, `dt`, `hold`, labels, units, `name` as in `from_csv`.
 
         Returns
         -------
@@ -149,7 +147,7 @@ class RecordReaders:
         >>> rco.Measurement.from_mat(path, "V1", "V2", dt=0.1).n_samples
         5
         """
-        return cls._read(read_mat, path, inputs, outputs, time, dt, options)
+        return cls._read(read_mat, path, inputs, outputs, **options)
 
     @classmethod
     def from_npz(
@@ -157,9 +155,6 @@ class RecordReaders:
         path: str | PathLike[str],
         inputs: str | Sequence[str],
         outputs: str | Sequence[str],
-        *,
-        time: str | None = None,
-        dt: float | None = None,
         **options: Any,
     ) -> Self:
         """Read vectors from a file of `numpy.savez`.
@@ -170,8 +165,8 @@ class RecordReaders:
             File of named arrays.
         inputs, outputs : str or sequence of str
             Arrays of shape (N,), (N, 1) or (1, N), which become the labels.
-        time, dt, **options
-            As in `from_csv`.
+        **options
+            `time`, `dt`, `hold`, labels, units, `name` as in `from_csv`.
 
         Returns
         -------
@@ -192,7 +187,7 @@ class RecordReaders:
         >>> rco.Measurement.from_npz(path, "force", "v1", dt=0.1).n_samples
         5
         """
-        return cls._read(read_npz, path, inputs, outputs, time, dt, options)
+        return cls._read(read_npz, path, inputs, outputs, **options)
 
     @classmethod
     def from_hdf5(
@@ -200,9 +195,6 @@ class RecordReaders:
         path: str | PathLike[str],
         inputs: str | Sequence[str],
         outputs: str | Sequence[str],
-        *,
-        time: str | None = None,
-        dt: float | None = None,
         **options: Any,
     ) -> Self:
         """Read vectors from an HDF5 file.
@@ -213,8 +205,8 @@ class RecordReaders:
             HDF5 file; needs h5py.
         inputs, outputs : str or sequence of str
             Data sets of shape (N,), (N, 1) or (1, N), as "group/name".
-        time, dt, **options
-            As in `from_csv`.
+        **options
+            `time`, `dt`, `hold`, labels, units, `name` as in `from_csv`.
 
         Returns
         -------
@@ -239,18 +231,11 @@ class RecordReaders:
         ...     data = rco.Measurement.from_hdf5(path, "rig/u", "rig/y", dt=0.1)
         ...     assert data.n_samples == 5
         """
-        return cls._read(read_hdf5, path, inputs, outputs, time, dt, options)
+        return cls._read(read_hdf5, path, inputs, outputs, **options)
 
     @classmethod
     def from_frame(
-        cls,
-        frame: Any,
-        inputs: str | Sequence[str],
-        outputs: str | Sequence[str],
-        *,
-        time: str | None = None,
-        dt: float | None = None,
-        **options: Any,
+        cls, frame: Any, inputs: str | Sequence[str], outputs: str | Sequence[str], **options: Any
     ) -> Self:
         """Take columns from a data frame.
 
@@ -261,8 +246,8 @@ class RecordReaders:
             columns needs the extra "pandas".
         inputs, outputs : str or sequence of str
             Columns by name, which become the labels.
-        time, dt, **options
-            As in `from_csv`.
+        **options
+            `time`, `dt`, `hold`, labels, units, `name` as in `from_csv`.
 
         Returns
         -------
@@ -285,10 +270,11 @@ class RecordReaders:
         0.1
         """
         index: Any = getattr(frame, "index", None)
-        if time is None and dt is None and getattr(getattr(index, "dtype", None), "kind", "") in ("m", "M"):
-            time = str(index.name or "time")
-            frame = frame.reset_index(names=time)
-        return cls._read(read_frame, frame, inputs, outputs, time, dt, options)
+        dated = getattr(getattr(index, "dtype", None), "kind", "") in ("m", "M")
+        if dated and options.get("time") is None and options.get("dt") is None:
+            options["time"] = str(index.name or "time")
+            frame = frame.reset_index(names=options["time"])
+        return cls._read(read_frame, frame, inputs, outputs, **options)
 
     @classmethod
     def from_response(
@@ -572,10 +558,10 @@ class RecordReaders:
         source: Any,
         inputs: str | Sequence[str],
         outputs: str | Sequence[str],
-        time: str | None,
-        dt: float | None,
-        options: dict[str, Any],
-        **how: Any,
+        *,
+        time: str | None = None,
+        dt: float | None = None,
+        **options: Any,
     ) -> Self:
         """Make the record of named columns, with their units and notes.
 
@@ -588,7 +574,7 @@ class RecordReaders:
             source = as_path(source)
             options = {"name": Path(source).stem} | options
         wanted = list(dict.fromkeys((*w_names, *y_names, *(() if times is None else (times,)))))
-        values, units, notes = reader(source, wanted, **how)
+        values, units, notes = reader(source, wanted)
         lengths = {name: len(column) for name, column in values.items()}
         if len(set(lengths.values())) > 1:
             listed = ", ".join(f"{name!r} {length}" for name, length in lengths.items())

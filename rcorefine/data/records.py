@@ -15,6 +15,7 @@ from ..arguments import as_list, shown
 from ..exceptions import DataError
 from ..systems.linear import Array
 from .measurement import Measurement
+from .response_record import as_responses
 
 MOST_LEVELS = 3  # levels of a record that are told apart
 _BLOCKS = 24  # pieces of a record whose level is looked at
@@ -52,8 +53,7 @@ def as_records(data: Any, name: str = "data") -> list[Measurement]:
     DataError
         If the list is empty.
     """
-    first = data[0] if isinstance(data, list | tuple) and data else data
-    if isinstance(first, ct.FrequencyResponseData):
+    if isinstance(_first(data), ct.FrequencyResponseData):
         raise ct.ControlArgument(
             f"{name} is a frequency response, and this needs a record in time; compare, refine, "
             "diagnose and improve take responses"
@@ -67,6 +67,42 @@ def as_records(data: Any, name: str = "data") -> list[Measurement]:
     if not records:
         raise DataError(f"{name} is an empty list; give at least one Measurement")
     return records
+
+
+def _first(data: Any) -> Any:
+    return data[0] if isinstance(data, list | tuple) and data else data
+
+
+def as_data(
+    data: Any,
+    *,
+    x0: Any = "estimate",
+    horizon: Any = None,
+    noise: Any = None,
+    controller: Any = None,
+    several: bool = True,
+) -> list[Any]:
+    """Return the data as records in time or as frequency responses.
+
+    Settings that frequency responses cannot use are refused, and more than one record in time, too, where
+    `several` is False.
+
+    Raises
+    ------
+    control.ControlArgument
+        If it is neither, or a setting belongs to records in time.
+    """
+    if not isinstance(_first(data), ct.FrequencyResponseData):
+        return as_records(data) if several else [as_record(data)]
+    for name, value, instead in (
+        ("x0", None if isinstance(x0, str) and x0 == "estimate" else x0, "a response has no initial state"),
+        ("horizon", horizon, "a response has no free run"),
+        ("controller", controller, "give the loop as a model (control.feedback)"),
+        ("noise", noise, "give the standard deviation of the points to FrequencyResponse(..., std=...)"),
+    ):
+        if value is not None:
+            raise ct.ControlArgument(f"{name} belongs to records in time; {instead}")
+    return as_responses(data)
 
 
 class FreeRun(Measurement):

@@ -5,9 +5,8 @@ Its rows are real and imaginary parts, divided by the standard deviation of thei
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import control as ct
 import numpy as np
@@ -15,9 +14,10 @@ from numpy.typing import NDArray
 
 from ..arguments import as_list
 from ..systems.linear import Array, LinearModel
-from .channels import match_channels
+from .channels import match_channels, record_for
 from .frequency_response import FrequencyResponse
 from .measurement import Measurement
+from .record import FrequencyRecord
 
 Places = NDArray[np.integer[Any]]
 _ROUNDING = 1e-9  # of the response: no point is known better
@@ -26,7 +26,7 @@ _BIAS = 1.0 / 6.0  # of the second difference of neighboring lines: what a Hann 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ResponseRecord:
+class ResponseRecord(FrequencyRecord):
     """Measured frequency response in units of its noise.
 
     The channels are in the order of a model.
@@ -155,11 +155,36 @@ class ResponseRecord:
         parts = (rows * self.noise).reshape(self.n_outputs, 2, self.n_inputs, -1)
         return np.asarray(parts[:, 0] + 1j * parts[:, 1])
 
+    @property
+    def n_balances(self) -> int:
+        """Number of frequencies that may need a harmonic balance."""
+        return self.measured.n_balances
+
+    @property
+    def error_units(self) -> tuple[str, ...]:
+        """Standard deviations of the noise as units of the error."""
+        return ("std",) * self.n_outputs
+
+    def deviation(self, *_: Any) -> Self:
+        """Return the record itself: a response has no level."""
+        return self
+
+    def check_excitation(self, purpose: str) -> tuple[str, ...]:
+        """Return nothing: each input of a response moves."""
+        return ()
+
     def lines(self, kept: Places) -> ResponseRecord:
         """Some of the frequencies, by their numbers."""
         shape = (self.n_outputs, 2 * self.n_inputs, self.omega.size)
         noise = self.noise.reshape(shape)[:, :, kept].reshape(self.n_outputs, -1)
         return replace(self, measured=some_lines(self.measured, kept), noise=noise)
+
+
+def ordered(data: Any, model: LinearModel) -> Any:
+    """Return a record in the order of a model's channels."""
+    if isinstance(data, Measurement):
+        return record_for(data, match_channels(model, data))
+    return data if isinstance(data, ResponseRecord) else ResponseRecord.of(data, model)
 
 
 def coded(points: NDArray[np.complex128]) -> Array:
@@ -168,20 +193,6 @@ def coded(points: NDArray[np.complex128]) -> Array:
     Shape (n_y, n_w, n_omega) becomes (n_y, 2 n_w n_omega).
     """
     return np.concatenate([points.real, points.imag], axis=1).reshape(points.shape[0], -1)
-
-
-def in_frequency(data: Any) -> bool:
-    """Return whether data are frequency responses.
-
-    A list counts if it begins with one.
-    """
-    first = data[0] if isinstance(data, (list, tuple)) and data else data
-    return isinstance(first, (ct.FrequencyResponseData, ResponseRecord))
-
-
-def noise_is_known(records: Sequence[Any]) -> bool:
-    """Return whether all records are responses with known noise."""
-    return in_frequency(records) and all(record.known for record in records)
 
 
 def as_responses(data: Any) -> list[FrequencyResponse]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..data.measurement import Measurement
 from ..data.records import at_rest
-from ..data.response_record import ResponseRecord, in_frequency, noise_is_known, some_lines
+from ..data.response_record import ResponseRecord, some_lines
 from ..effects.effect import Effect
 from ..effects.law import KINDS
 from ..engine.amplitude_response import is_linear
@@ -37,7 +37,6 @@ _FEW_LEVELS = 3  # distinct values of an output that does not move but for its l
 _SOLVED = 1e-7  # of a response: its balance of harmonics is solved to 1e-8, which grows near a resonance
 _SURE = 1e-3  # of the sample interval: its standard deviation where an output holds differences of samples
 _BOTH = 0.05  # of the largest state: it takes both signs
-SHORTEST, _FEWEST = 36, 60  # samples of a record, and values of a frequency response, that can be tested
 
 
 class Case:
@@ -100,12 +99,12 @@ class Case:
         physical = base.physical_model
         # records with the channels in the order of the model
         self.ordered = ordered = [ordered_record(physical, r) for r in records]
-        least = _FEWEST if in_frequency(ordered) else SHORTEST
         for record in ordered:
-            if record.n_samples < least:
+            if record.n_samples < record.shortest:
+                parts = "" if record.in_time else " (real and imaginary parts count)"
                 raise DataError(
                     f"record {record.name!r} of {record.n_samples} samples is too short to test; "
-                    f"give at least {least}{' (real and imaginary parts count)' if least == _FEWEST else ''}"
+                    f"give at least {record.shortest}{parts}"
                 )
         # free runs: whole records, or windows where the model cannot run freely
         segments, _ = windows(physical, ordered, settings["horizon"])
@@ -148,7 +147,7 @@ class Case:
 
         If not, they are frequency responses.
         """
-        return self.fitted.problem.in_time
+        return bool(self.fitted.problem.in_time)
 
     @property
     def options(self) -> dict[str, Any]:
@@ -157,7 +156,7 @@ class Case:
 
     def excess(self, fitted: FittedModel) -> float:
         """Residual over the declared noise, 0 where none was declared."""
-        if self.settings["noise"] is None and not noise_is_known(self.ordered):
+        if self.settings["noise"] is None and not all(record.known for record in self.ordered):
             return 0.0
         residual = np.concatenate(fitted.residuals(), axis=1)
         return float(np.sqrt(np.mean(residual**2, axis=1)).max())
@@ -223,7 +222,7 @@ def with_recorded_inputs(model: Any, records: Sequence[Any]) -> tuple[Any, tuple
     """
     physical = as_physical(model)
     linear = physical.linear
-    if in_frequency(records) or physical.controller is not None or physical.operating_point is not None:
+    if not records[0].in_time or physical.controller is not None or physical.operating_point is not None:
         return model, ()
     # inputs that all records have and the model lacks
     shared = [label for label in records[0].input_labels if all(label in r.input_labels for r in records)]
@@ -282,7 +281,7 @@ def seen_in(
     ModelError
         If one was asked for that they cannot show.
     """
-    if in_frequency(records):
+    if not records[0].in_time:
         return _seen_in_responses(physical, candidates, records, asked)
     if at_rest(records):
         return _seen_at_rest(physical, candidates, asked)
@@ -497,7 +496,7 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
     DataError
         If a record is too short.
     """
-    if in_frequency(records):
+    if not records[0].in_time:
         return _lines_in_parts(records, validation)
     # a single record with a constant input shows a gain where it has settled
     kept = [moving(record) for record in records] if at_rest(records) else list(records)
@@ -507,8 +506,8 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
         for record, given in zip(kept, records, strict=True)
         if record is not given
     )
-    many = len(kept) >= _BY_RECORD and min(record.n_samples for record in kept) >= SHORTEST
     # many records are split as wholes, few in time
+    many = len(kept) >= _BY_RECORD and all(record.n_samples >= record.shortest for record in kept)
     parts = _in_turn(kept, validation is not None) if many else _in_time(kept, validation is not None)
     fit = parts["fit"]
     climbed, whole = excerpt(fit), sum(record.n_samples for record in fit)
@@ -526,15 +525,15 @@ def _in_time(records: Sequence[Measurement], validated: bool) -> dict[str, list[
     """Return each record in parts, in the order of time."""
     parts: dict[str, list[Measurement]] = {name: [] for name in _TURNS}
     share = _FIT / (_FIT + _CHOOSE) if validated else _FIT
-    least = round(SHORTEST / share)
     # 60 % to fit, 20 % to choose, 20 % to validate
+    least = round(Measurement.shortest / share)
     for record in records:
         if record.n_samples < least:
             another = "" if validated else ", or another record as validation="
             raise DataError(
-                f"record {record.name!r} of {record.n_samples} samples is too short: {SHORTEST} are needed "
-                f"to fit, and the others {'choose' if validated else 'choose and judge'}; give at least "
-                f"{least}{another}"
+                f"record {record.name!r} of {record.n_samples} samples is too short: {record.shortest} are "
+                f"needed to fit, and the others {'choose' if validated else 'choose and judge'}; give at "
+                f"least {least}{another}"
             )
         both = record
         if not validated:
@@ -558,7 +557,7 @@ def moving(record: Measurement) -> Measurement:
     A part without motion decides nothing. Motion counts as long as an output still moves by `_DEAD` standard
     deviations of its noise (of second differences) within a fiftieth of the record.
     """
-    if record.n_samples < SHORTEST:
+    if record.n_samples < record.shortest:
         return record
     y, length = record.outputs, max(record.n_samples // 50, 4)
     # noise from second differences, robust

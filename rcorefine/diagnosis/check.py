@@ -29,7 +29,7 @@ from ..progress import Progress
 from ..refinement.refine import base_fit
 from ..results import counted
 from ..systems.linear import LinearModel
-from .case import SHORTEST, Case, with_recorded_inputs
+from .case import Case, with_recorded_inputs
 from .check_outputs import gain_rows, level_rows
 from .check_rows import (
     LOOK,
@@ -120,10 +120,9 @@ def check(
         own = () if effects is None or stopped else _own(model, record, as_effects(effects, "effects"))
         rows += _idle_rows(model, data)
     rows += _information_rows(shown, as_physical(model), record) if shown else []
-    if information and record.n_samples < SHORTEST:
-        said = (
-            f"A record of {record.n_samples} samples is too short to test for effects; {SHORTEST} are needed."
-        )
+    if information and record.n_samples < record.shortest:
+        count, least = record.n_samples, record.shortest
+        said = f"A record of {count} samples is too short to test for effects; {least} are needed."
         rows.append(CheckRow(LOOK, "information", "", f"{record.n_samples} samples", said))
     rows += [_against(effect, found) for effect, found in own]
     return Check(tuple(rows), shown)

@@ -16,7 +16,6 @@ from ..arguments import as_noise
 from ..data.channels import match_channels, record_for, with_outputs
 from ..data.measurement import Measurement
 from ..data.records import runs
-from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..engine.simulation import simulate
 from ..exceptions import DataError, DivergenceError
@@ -108,7 +107,7 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
         If no output ever changes.
     """
     # frequency responses and refined models keep all outputs
-    if in_frequency(records) or hasattr(model, "physical_model"):
+    if not records[0].in_time or hasattr(model, "physical_model"):
         return None
     physical = as_physical(model)
     point = physical.operating_point

@@ -11,13 +11,11 @@ import numpy as np
 
 from ..arguments import as_number, as_share
 from ..data.measurement import Measurement
-from ..data.records import amplitude, at_rest, stretches_by_level
-from ..data.response_record import in_frequency
+from ..data.records import amplitude, as_data, at_rest, stretches_by_level
 from ..effects.effect import Effect, as_effects
 from ..exceptions import IdentifiabilityWarning, own_arithmetic, unheard
 from ..inference.assembly import (
     about_noise,
-    as_data,
     check_settings,
     check_validation,
     spread_lines,
@@ -35,7 +33,7 @@ from ..progress import Progress
 from ..refinement.refine import base_fit
 from ..results import chance, with_error
 from ..systems.linear import Array
-from .case import SHORTEST, Case, no_motion, not_excited, not_tried, with_recorded_inputs
+from .case import Case, no_motion, not_excited, not_tried, with_recorded_inputs
 from .check import looks
 from .dead_sensors import without_dead_sensors
 from .error_shares import error_shares, matter
@@ -78,8 +76,8 @@ def amplitude_test(fitted: FittedModel, added: int, levels: Levels) -> tuple[flo
     structure, records = fitted.structure, fitted.problem.records
     if len(records) == 1 and not at_rest(records):
         stretches = (piece for _, piece in stretches_by_level(records[0]))
-        records = [piece for piece in stretches if piece.n_samples >= SHORTEST] or records
-    # compare the smallest with the largest amplitude
+        # compare the smallest with the largest amplitude
+        records = [piece for piece in stretches if piece.n_samples >= piece.shortest] or records
     sizes = [amplitude(record) for record in records]
     low, high = int(np.argmin(sizes)), int(np.argmax(sizes))
     if sizes[high] <= _OTHER_AMPLITUDE * max(sizes[low], 1e-300):
@@ -332,7 +330,7 @@ def investigate(
         base = base_fit(model, records, **options)
     # checks of the record, for the warnings
     with steps.step("what is odd"):
-        odd = () if in_frequency(records) else looks(seen, given, horizon)
+        odd = looks(seen, given, horizon) if records[0].in_time else ()
     asked = options | {"candidates": None if candidates is None else tuple(candidates), "matters": matters}
     case = Case(base, records, candidates, asked, significance, steps, effort)
     if not most:

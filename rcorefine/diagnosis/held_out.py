@@ -10,7 +10,6 @@ import numpy as np
 
 from ..comparison.compare import compare
 from ..data.channels import match_channels, record_for
-from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..engine.amplitude_response import engine_on
 from ..exceptions import DivergenceError, ExcitationWarning, unheard
@@ -148,7 +147,7 @@ class HeldOutPath:
     def errors_on(self, records: Sequence[Any], model: Refinement) -> tuple[ErrorShare, ...]:
         """Return the shares of the spread that a model leaves on a part."""
         labels = model.physical_model.linear.output_labels
-        if in_frequency(records):
+        if not records[0].in_time:
             return ()
         try:
             left = [_left(model, record, self.settings["horizon"]) for record in records]
@@ -228,7 +227,7 @@ def _left(refinement: Refinement, record: Any, horizon: float | None) -> Array:
     That of a frequency response is taken at its points, in units of their noise.
     """
     # frequency responses at their points, records as in `compare`
-    if in_frequency([record]):
+    if not record.in_time:
         structure, theta, _ = refinement.simulation_structure()
         ordered = ordered_record(refinement.physical_model, record)
         run = engine_on(structure, ordered).run(theta, sensitivity=False)

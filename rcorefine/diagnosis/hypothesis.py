@@ -132,7 +132,7 @@ def likeliest_noise(problem: Problem, colored: bool = True) -> Callable[[Sequenc
     """
     # outputs in the weighted units of the residuals, with their rounding steps
     outputs = [problem.weights[:, None] * r.outputs for r in problem.records]
-    colored = colored and problem.in_time
+    colored = colored and problem.color != 0
     steps = [rounding_step(row) if colored else 0.0 for row in np.concatenate(outputs, axis=1)]
     return partial(noise_of, outputs=outputs, steps=steps, most=problem.color if colored else 0)
 
@@ -304,7 +304,7 @@ class Trial:
             fit=fit,
             rmse=rmse,
             initial_states=states.copy(),
-            substeps=problem.engines[0].substeps if problem.in_time else old.substeps,
+            substeps=problem.engines[0].substeps,
             residual_orders=noise.whitener.orders,
             success=True,
             message="Converged." + (f" At its bound: {', '.join(bound)}." if bound else ""),

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arguments import as_whole
 from ..data.measurement import Measurement
-from ..data.response_record import in_frequency
+from ..data.records import as_data
 from ..effects.effect import Effect
 from ..exceptions import (
     DataError,
@@ -20,7 +20,6 @@ from ..exceptions import (
     own_arithmetic,
     unheard,
 )
-from ..inference.assembly import as_data
 from ..inference.refinement import Refinement
 from ..models.controller import Controller
 from ..progress import Progress
@@ -185,7 +184,7 @@ class _Improver:
         else:
             message, notes = self._named()
         linear, parts = found.base.physical_model.linear, path.parts
-        units = ("std",) * linear.n_outputs if in_frequency(parts.fit) else tuple(parts.fit[0].output_units)
+        units = self.case.ordered[0].error_units
         last = path.steps[-1].refinement
         return Improvement(
             tuple(path.steps), _word(found, self.most), message, linear.output_labels, units,

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..data import HOLDS
 from ..data.measurement import Measurement
-from ..data.response_record import in_frequency
 from ..effects.bodies import Mass
 from ..effects.effect import Effect
 from ..engine.controlled import integrates
@@ -273,7 +272,7 @@ def with_offsets(base: Refinement, records: Sequence[Measurement], options: dict
     if "offset" not in base.roles:
         return base
     ordered = [ordered_record(base.physical_model, record) for record in records]
-    if in_frequency(ordered) or integrates(base.physical_model.linear, ordered[0]):
+    if not ordered[0].in_time or integrates(base.physical_model.linear, ordered[0]):
         return base
     y = np.concatenate([record.outputs for record in ordered], axis=1)
     if not np.any(np.abs(y.mean(axis=1)) > levels().zero * y.std(axis=1)):

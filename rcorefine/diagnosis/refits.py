@@ -225,7 +225,7 @@ class Fitter:
         base, ratio = trial.base, trial.hypothesis.ratio
         problem, gain = trial.problem, _gain(base, trial.problem, ratio)
         # finer substeps for force laws that jump
-        if problem.in_time and not problem.structure.is_linear and problem.substeps < self.substeps:
+        if problem.stepped and problem.substeps < self.substeps:
             problem = problem.like(substeps=self.substeps)
             run = _descended(problem, trial.run, trial.noise, gain, 8)
             if np.isfinite(run.cost):
@@ -249,8 +249,8 @@ class Fitter:
         not do so by `_RANKED_STEP`, with the coefficients that they ask for.
         """
         gain = _gain(trial.base, trial.problem, trial.hypothesis.ratio)
-        for _ in range(_FINER if trial.problem.in_time and not trial.is_linear else 0):
-            # compare the log evidence at half the substep
+        # compare the log evidence at half the substep
+        for _ in range(_FINER if trial.problem.stepped else 0):
             finer = trial.problem.like(substeps=2 * trial.problem.substeps)
             run = descend(finer, trial.point, gain=gain, evaluations=1)
             if not np.isfinite(run.cost):

@@ -292,13 +292,13 @@ _BATCH = 4_000_000  # complex numbers in memory at once (64 MB)
 
 def engine_on(
     structure: Structure,
-    data: Measurement | ResponseRecord,
+    data: Any,
     *,
     substeps: int = 1,
     initial: Array | None = None,
 ) -> Engine | ResponseEngine:
     """Return the engine for a time record or for a frequency response."""
-    if isinstance(data, ResponseRecord):
+    if not data.in_time:
         return ResponseEngine(structure, data, substeps=substeps)
     return Engine(structure, data, substeps=substeps, initial=initial, lead=leading_gain(structure, data))
 
@@ -330,7 +330,8 @@ class ResponseEngine:
         If an effect is nonlinear and the amplitude of the sines is not known, or the model itself is.
     """
 
-    lead: Array | None = None  #: a frequency response has no observer
+    lead: Array | None = None  #: no observer leads a response
+    stepped = False  #: no substeps
 
     def __init__(self, structure: Structure, data: ResponseRecord, *, substeps: int = 1) -> None:
         self.structure, self.data, self.substeps = structure, data, substeps

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -265,6 +266,17 @@ def check_channels(model: LinearModel, data: Measurement) -> None:
                 f"record {data.name!r} has {have} {what} and the model {need}{named}; give the record's "
                 f"{what} that belong to {model.name!r}, or a model with the {what} that all records share"
             )
+
+
+def check_records(model: LinearModel, given: Sequence[Any], ordered: Sequence[Any], purpose: str) -> None:
+    """Check the channels of records, and warn about inputs that are constant.
+
+    `ordered` are the given records in the order of the model. One without inputs is a free decay.
+    """
+    for measured, record in zip(given, ordered, strict=True):
+        check_channels(model, record)
+        if measured.n_inputs:
+            record.check_excitation(purpose)
 
 
 def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -> Simulation:

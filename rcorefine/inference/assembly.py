@@ -14,8 +14,8 @@ import numpy as np
 from ..arguments import as_flag, as_list, as_noise, as_number, shown
 from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
-from ..data.records import FreeRun, as_records
-from ..data.response_record import ResponseRecord, as_responses, in_frequency, some_lines
+from ..data.records import FreeRun
+from ..data.response_record import some_lines
 from ..effects.channels import InputOffset, OutputOffset
 from ..effects.effect import Effect, as_effects
 from ..effects.law import KINDS
@@ -144,7 +144,7 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
     inputs reach the outputs at rest; in a nonlinear one they can, and both are tried.
     Where the model integrates, an offset of the sensors that read what is integrated is an initial state.
     """
-    if not as_flag(offset, "offset") or in_frequency(record):
+    if not as_flag(offset, "offset") or not record.in_time:
         return [[]]
     linear, controller = physical.linear, physical.controller
     if controller is not None and not controller.recorded and integrates(controller.linear, record):
@@ -227,57 +227,32 @@ def check_validation(model: Any, record: Any) -> None:
     ordered_record(as_physical(model), record)
 
 
-def as_data(
-    data: Any, *, x0: Any = "estimate", horizon: Any = None, noise: Any = None, controller: Any = None
-) -> list[Any]:
-    """Return the data as records in time or as frequency responses.
-
-    Settings that frequency responses cannot use are refused.
-
-    Raises
-    ------
-    control.ControlArgument
-        If it is neither, or a setting belongs to records in time.
-    """
-    if not in_frequency(data):
-        return as_records(data)
-    for name, value, instead in (
-        ("x0", None if isinstance(x0, str) and x0 == "estimate" else x0, "a response has no initial state"),
-        ("horizon", horizon, "a response has no free run"),
-        ("controller", controller, "give the loop as a model (control.feedback)"),
-        ("noise", noise, "give the standard deviation of the points to FrequencyResponse(..., std=...)"),
-    ):
-        if value is not None:
-            raise ct.ControlArgument(f"{name} belongs to records in time; {instead}")
-    return as_responses(data)
-
-
 def spread_lines(data: list[Any]) -> list[Any]:
     """Limit the number of frequencies of responses at known amplitudes.
 
     Harmonic balance would take too long at all of them, so evenly spread ones are kept.
     """
-    if not in_frequency(data) or any(one.amplitude is None for one in data):
-        return data
-    total = sum(one.omega.size for one in data)
-    if total <= _MOST_LINES:
+    balances = [one.n_balances for one in data]
+    total = sum(balances)
+    if total <= _MOST_LINES or not all(balances):
         return data
     # frequencies of each response in proportion to their number, evenly spread
-    kept = [max(_FEWEST_LINES, one.omega.size * _MOST_LINES // total) for one in data]
-    numbers = [
-        np.linspace(0, one.omega.size - 1, min(n, one.omega.size)) for one, n in zip(data, kept, strict=True)
-    ]
+    kept = [min(n, max(_FEWEST_LINES, n * _MOST_LINES // total)) for n in balances]
+    numbers = [np.linspace(0, n - 1, few) for n, few in zip(balances, kept, strict=True)]
     return [some_lines(one, np.unique(k.astype(int))) for one, k in zip(data, numbers, strict=True)]
 
 
 def about_noise(physical: PhysicalModel, data: list[Any], given: list[Any]) -> list[str]:
     """Return notes on the noise and the used points of frequency responses."""
-    if not in_frequency(data):
-        return []
-    about = windows(physical, [ResponseRecord.of(one, physical.linear) for one in data], None)[1]
-    taken, of = (sum(one.omega.size for one in some) for some in (data, given))
+    about = _notes([ordered_record(physical, one) for one in data])
+    taken, of = (sum(one.n_points for one in some) for some in (data, given))
     fewer = f"The search for nonlinear effects used {taken} of {of} frequencies; refine() uses all of them."
     return [sentence for sentence in (about, fewer if taken < of else "") if sentence]
+
+
+def _notes(records: Sequence[Any]) -> str:
+    """Return what is to be said of the noise of the records."""
+    return " ".join(dict.fromkeys(record.note for record in records if record.note))
 
 
 def windows(
@@ -287,9 +262,9 @@ def windows(
 
     The windows are those of `engine.free_runs`. Responses stay whole, and the note is about their noise.
     """
-    if in_frequency(records):
-        return records, " ".join(dict.fromkeys(record.note for record in records if record.note))
     # a given horizon asks for free runs
+    if not records[0].in_time:
+        return records, _notes(records)
     if horizon is not None:
         records = [r._changed(FreeRun) for r in records]
     cuts, note = free_runs([as_it_runs(physical, r) for r in records], records, horizon, known_start)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from ..data.measurement import Measurement
-from ..data.response_record import in_frequency
 from ..effects.effect import Effect
 from ..engine.observer import existing_gain
 from ..engine.point import linearized
@@ -245,7 +244,7 @@ def fitted_from(
     # noise level: declared, of the measured points, or that of the residual
     if noise is not None:
         level = np.broadcast_to(np.asarray(noise, float), shape)
-    elif in_frequency(records):  # relative to the noise of the points
+    elif not records[0].in_time:  # in units of the noise of the points
         plain = Problem(structure, records, np.ones(shape), **given)
         level = 1.0 / output_weights(records, None, plain, plain.pack(theta, refinement.initial_states))
     else:

@@ -9,7 +9,6 @@ import numpy as np
 
 from ..arguments import as_noise
 from ..data.measurement import Measurement
-from ..data.response_record import in_frequency, noise_is_known
 from ..engine.amplitude_response import engine_on
 from ..engine.engine import Engine
 from ..engine.initial_state import estimate_initial_state
@@ -32,7 +31,7 @@ def output_weights(
     """One over the noise of each output: declared, or from the residual."""
     ny = records[0].outputs.shape[0]
     declared = as_noise(noise, ny)
-    if noise_is_known(records):  # residuals are in units of the noise
+    if all(record.known for record in records):  # they stand in its units
         declared = np.ones(ny)
     if declared is not None:
         return 1.0 / declared
@@ -57,7 +56,7 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     precision = problem.precision
     precision[: problem.n_theta][weak_priors(fit.table)] = 0.0
     # order of the residual's model; noise of a response is white over frequency
-    order = None if problem.in_time else 0
+    order = 0 if problem.color == 0 else None
     unsure = parameter_uncertainty(residuals, slopes, precision, order, columns)
     p = structure.n_parameters
     covariance = unsure.covariance[:p, :p]
@@ -134,7 +133,7 @@ def fit_of(records: Sequence[Any], errors: Sequence[Array]) -> tuple[Array, Arra
 
     For frequency responses, they are those of the complex points about their mean.
     """
-    if not in_frequency(records):
+    if records[0].in_time:
         error = np.concatenate(errors, axis=1)
         measured = np.concatenate([r.outputs for r in records], axis=1)
         return _fit(measured, error), np.sqrt(np.mean(error**2, axis=1))

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from ..data.measurement import Measurement
-from ..data.records import at_rest
-from ..data.response_record import ResponseRecord, in_frequency
+from ..data.response_record import ResponseRecord
 from ..engine.amplitude_response import engine_on, is_linear
 from ..engine.initial_state import added_states, brief_modes
 from ..engine.structure import Structure
@@ -143,8 +142,8 @@ class Problem:
         self.structure, self.weights = structure, weights
         self.coordinates = Coordinates(structure)
         self.records: list[Any] = list(records)
-        self.in_time = not in_frequency(self.records)
-        if not self.in_time:  # a frequency response has no initial state
+        self.in_time = self.records[0].in_time
+        if not self.in_time:  # a response has no start
             initial = np.zeros(structure.n_states)
         p = structure.n_parameters
         self.prior_mean: Array = np.zeros(p) if prior_mean is None else prior_mean
@@ -178,19 +177,19 @@ class Problem:
         """
         # floor of the innovations: resolution of the outputs, in units of the noise
         outputs = np.concatenate([record.outputs for record in self.records], axis=1)
-        resolved = RESOLUTION * self.in_time * self.weights * outputs.std(axis=1)
+        resolved = RESOLUTION * (self.color != 0) * self.weights * outputs.std(axis=1)
         return Whitener.fit(residuals, most=self.color, floor=resolved)
 
     @property
     def color(self) -> int | None:
-        """Highest order of the noise filter, None for any.
+        """Highest order of the noise filter, None for any."""
+        orders: list[Any] = [record.color for record in self.records]
+        return None if None in orders else max(orders)
 
-        0 for responses: noise has no memory from frequency to frequency. 1 for free decays: with two
-        coefficients a filter takes any oscillation, and with it the error of any model, for noise.
-        """
-        if not self.in_time:
-            return 0
-        return 1 if at_rest(self.records) else None
+    @property
+    def stepped(self) -> bool:
+        """Return whether the accuracy depends on the substeps."""
+        return bool(self.engines[0].stepped)
 
     @property
     def dwells(self) -> bool:
@@ -198,7 +197,7 @@ class Problem:
 
         It does where nonlinear effects respond to sines.
         """
-        return not self.in_time and not is_linear(self.structure)
+        return bool(self.records[0].n_balances) and not is_linear(self.structure)
 
     @property
     def precision(self) -> Array:

@@ -11,7 +11,6 @@ from itertools import pairwise
 import numpy as np
 
 from ..data.measurement import Measurement
-from ..data.response_record import in_frequency
 from ..engine.amplitude_response import ResponseEngine, is_linear
 from ..engine.engine import Engine
 from ..engine.initial_state import estimate_initial_state
@@ -165,7 +164,7 @@ def search(
                 polished.append(found)
 
     # nonlinear and not yet a good fit: simulations of growing length
-    if not structure.is_linear and trial.in_time:
+    if trial.stepped:
         grow(_FAIR)
     # poor fit: starting values over decades
     if min(entry[0] for entry in polished) > _POOR * level:
@@ -300,7 +299,7 @@ def sufficient_steps(
         (to be judged again), 8 times as many at most.
     """
     steps = coarse.substeps
-    if coarse.structure.is_linear or not coarse.in_time or steps >= _MOST_SUBSTEPS:
+    if not coarse.stepped or steps >= _MOST_SUBSTEPS:
         return steps
     # relative shift of the result by halving the substep
     shift = step_matters(coarse, problem(segments, 2 * steps, coarse.free_start), point)
@@ -313,7 +312,7 @@ def sufficient_steps(
 
 
 def _shorten(windows: Sequence[Measurement]) -> list[Measurement]:
-    if in_frequency(windows):
+    if not windows[0].in_time:
         return list(windows)
     kept: list[Measurement] = []
     total = 0

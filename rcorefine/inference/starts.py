@@ -21,6 +21,7 @@ from ..engine.engine import Engine
 from ..engine.observer import existing_gain
 from ..engine.structure import Structure
 from ..models.operating_point import sensed
+from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 from .problem import Problem
 
@@ -137,6 +138,29 @@ class Motion:
         """Displacement and velocity, each of shape (N,), at one port."""
         return sensed(self._structure.model, name, self.states, self.data.inputs)
 
+    def channel(self, place: str, at_input: bool) -> Array:
+        """Return the signal (N,) at an input or output."""
+        data, linear = self.data, self._structure.linear_model
+        labels, rows, first = linear.output_labels, data.outputs, data.n_inputs
+        if at_input:
+            labels, rows, first = linear.input_labels, data.inputs, 0
+        channel = labels.index(place)
+        return np.asarray(rows[channel] + data.origin[first + channel])
+
+    def spectrum(self) -> tuple[Array, Array]:
+        """Return frequencies in rad/s and the power of the residual there."""
+        left = self.residual - self.residual.mean(axis=1, keepdims=True)
+        hertz, power = welch(left, fs=1.0 / self.data.dt, nperseg=min(1024, left.shape[1]))
+        return 2 * np.pi * hertz[1:], power.mean(axis=0)[1:]
+
+    def lag(self, model: PhysicalModel) -> float:
+        """Return the time in s by which the outputs lag behind a model."""
+        return common_lag(Structure(model), self.data)
+
+    def drifts(self, model: PhysicalModel) -> list[float]:
+        """Return the likely relative errors of the clock of the outputs."""
+        return growing_lags(Structure(model), [motion.data for motion in (self, *self.companions)])
+
 
 class ResponseMotion(Motion):
     """Motion at the places for a frequency response.
@@ -167,8 +191,24 @@ class ResponseMotion(Motion):
         d, v = port_phasors(self._structure, self._theta, self.data, name)
         return sampled(d), sampled(v)
 
+    def channel(self, place: str, at_input: bool) -> Array:
+        """Return a period of each sine at an input or output."""
+        return channel_signal(self._structure.linear_model, self.data, place, at_input)
 
-def estimated_motion(structure: Structure, theta: Array, data: Measurement | ResponseRecord) -> Motion:
+    def spectrum(self) -> tuple[Array, Array]:
+        """Return the frequencies and the power of the residual."""
+        return self.data.omega, np.mean(np.abs(self.residual) ** 2, axis=(0, 1))
+
+    def lag(self, model: PhysicalModel) -> float:
+        """Return 0: a response has no start."""
+        return 0.0
+
+    def drifts(self, model: PhysicalModel) -> list[float]:
+        """Return none: a response has no clock."""
+        return []
+
+
+def estimated_motion(structure: Structure, theta: Array, data: Any) -> Motion:
     """Motion at the ports as the record and the model together see it.
 
     Parameters
@@ -177,16 +217,14 @@ def estimated_motion(structure: Structure, theta: Array, data: Measurement | Res
         Model, as far as it is known.
     theta : ndarray, shape (p,)
         Coefficients.
-    data : Measurement
+    data : Measurement or ResponseRecord
         Record.
 
     Returns
     -------
     Motion
     """
-    if isinstance(data, ResponseRecord):
-        return ResponseMotion(structure, theta, data)
-    return Motion(structure, theta, data)
+    return (Motion if data.in_time else ResponseMotion)(structure, theta, data)
 
 
 def law_widths(structure: Structure, motion: Motion) -> dict[int, float]:
@@ -283,15 +321,7 @@ class _Seen:
 
     @property
     def signal(self) -> Array:
-        data, linear = self._motion.data, self._structure.linear_model
-        if isinstance(data, ResponseRecord):
-            return channel_signal(linear, data, self._place, "input" in self._law.where)
-        labels, rows, first = linear.output_labels, data.outputs, data.n_inputs
-        if "input" in self._law.where:
-            labels, rows, first = linear.input_labels, data.inputs, 0
-        channel = labels.index(self._place)
-        row: Array = rows[channel] + data.origin[first + channel]
-        return row
+        return self._motion.channel(self._place, "input" in self._law.where)
 
     @cached_property
     def _port(self) -> tuple[Array, Array]:
@@ -307,30 +337,18 @@ class _Seen:
 
     @property
     def peaks(self) -> Array:
-        data, residual = self._motion.data, self._motion.residual
-        if isinstance(data, ResponseRecord):
-            frequency, level = data.omega, np.log(np.mean(np.abs(residual) ** 2, axis=(0, 1)) + 1e-300)
-        else:
-            # power spectrum of the residual (Welch)
-            left = residual - residual.mean(axis=1, keepdims=True)
-            hertz, power = welch(left, fs=1.0 / self.dt, nperseg=min(1024, left.shape[1]))
-            frequency, level = 2 * np.pi * hertz[1:], np.log(power.mean(axis=0) + 1e-300)[1:]
         # the three most prominent peaks
-        found, info = find_peaks(level, prominence=0.5)
+        frequency, power = self._motion.spectrum()
+        found, info = find_peaks(np.log(power + 1e-300), prominence=0.5)
         return np.asarray(frequency[found[np.argsort(info["prominences"])[::-1][:3]]])
 
     @property
     def lag(self) -> float:
-        if isinstance(self._motion.data, ResponseRecord):
-            return 0.0
-        return common_lag(Structure(self._structure.model), self._motion.data)
+        return self._motion.lag(self._structure.model)
 
     @property
     def drifts(self) -> list[float]:
-        if isinstance(self._motion.data, ResponseRecord):
-            return []
-        records = [motion.data for motion in (self._motion, *self._motion.companions)]
-        return growing_lags(Structure(self._structure.model), records)
+        return self._motion.drifts(self._structure.model)
 
     @property
     def pull(self) -> float:

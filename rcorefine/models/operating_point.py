@@ -10,8 +10,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_mapping, as_number, as_state, as_vector
-from ..data.channels import match_channels, record_for
-from ..data.response_record import ResponseRecord, in_frequency
+from ..data.response_record import ordered
 from ..effects.right_hand_side import Field
 from ..exceptions import ModelError
 from ..systems.linear import Array, LinearModel
@@ -120,12 +119,8 @@ def ordered_record(model: PhysicalModel, data: Any) -> Any:
 
     A frequency response becomes a record of its points.
     """
-    # frequency response: nothing to subtract
-    if in_frequency(data):
-        return data if isinstance(data, ResponseRecord) else ResponseRecord.of(data, model.linear)
     # time record: channels in the order of the model
-    data = completed(model, data)
-    record = record_for(data, match_channels(model.linear, data))
+    record = ordered(completed(model, data), model.linear)
     point = model.operating_point
     if point is None:
         return record

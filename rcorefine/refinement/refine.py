@@ -10,13 +10,13 @@ import numpy as np
 
 from ..arguments import as_whole
 from ..data.measurement import Measurement
-from ..data.response_record import in_frequency
+from ..data.records import as_data
 from ..effects.effect import Effect, as_effects
 from ..engine.engine import MOST_SUBSTEPS
-from ..engine.simulation import check_channels
+from ..engine.simulation import check_records
 from ..engine.structure import Structure
 from ..exceptions import own_arithmetic
-from ..inference.assembly import as_data, assemble, check_settings, offset_variants, unfold, windows
+from ..inference.assembly import assemble, check_settings, offset_variants, unfold, windows
 from ..inference.doubts import doubted
 from ..inference.fit import Fit
 from ..inference.outcome import output_weights, package
@@ -140,13 +140,8 @@ def refine(
     given = records
     # channels in the order of the model
     records = [ordered_record(physical, record) for record in given]
-    in_time = not in_frequency(records)
-    if in_time:
-        for measured, record in zip(given, records, strict=True):
-            check_channels(physical.linear, record)
-            if measured.n_inputs:
-                record.check_excitation("refine")
     # known initial state as a deviation from the operating point
+    check_records(physical.linear, given, records, "refine")
     initial = start_above(physical, x0)
     if substeps is not None:
         substeps = as_whole(substeps, "substeps", least=1, most=MOST_SUBSTEPS)
@@ -191,7 +186,7 @@ def refine(
 
         # standard deviations, and reasons not to trust the estimate
         found = package(best, physical, note)
-        return doubted(found, best, again) if in_time else found
+        return found if found.of_responses else doubted(found, best, again)
 
 
 def refit(
@@ -292,11 +287,7 @@ def base_fit(
         )
     physical, kept = unfold(model)
     ordered = [ordered_record(physical, r) for r in records]
-    if not in_frequency(ordered):
-        for measured, record in zip(records, ordered, strict=True):
-            check_channels(physical.linear, record)
-            if measured.n_inputs:
-                record.check_excitation("diagnose")
+    check_records(physical.linear, records, ordered, "diagnose")
     segments, note = windows(physical, ordered, horizon)
     # otherwise a local fit from the nominal values
     chosen = assemble(physical, kept, (), free, tolerance, offset_variants(physical, ordered[0], offset)[0])

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from ..data.frequency_response import FrequencyResponse
-from ..data.response_record import in_frequency
 from ..effects.effect import Effect, import_path, module_of
 from ..effects.given import Table
 from ..inference.refinement import Refinement
@@ -210,7 +209,7 @@ def record_code(records: Sequence[Any]) -> list[str]:
     """
     names = names_of("data", records)
     listed = [] if len(records) == 1 else [f"data = [{', '.join(names)}]"]
-    if in_frequency(records):
+    if not records[0].in_time:
         every = [line for one, name in zip(records, names, strict=True) for line in response_code(one, name)]
         return [*every, *listed]
     lines = ["# the record: put the name of your file here"]

@@ -29,7 +29,6 @@ from matplotlib.text import Text
 
 from ..arguments import as_flag, as_path, as_text
 from ..data.frequency_response import FrequencyResponse
-from ..data.response_record import in_frequency
 from ..exceptions import DataError
 from ..inference.parameters import EstimatedParameter
 from ..inference.refinement import Refinement
@@ -535,7 +534,7 @@ def record_facts(records: Sequence[Any]) -> list[tuple[str, str]]:
     -------
     list of (str, str)
     """
-    if in_frequency(records):
+    if not records[0].in_time:
         return [row for one in records for row in response_facts(one)]
     return [
         fact

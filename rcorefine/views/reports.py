@@ -15,7 +15,6 @@ from ..comparison.responses import FrequencyComparison
 from ..comparison.result import Comparison, best_of, failures_of
 from ..data.measurement import Measurement
 from ..data.records import stretches_by_level
-from ..data.response_record import in_frequency
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, Improvement
 from ..diagnosis.words import no_test_fires, numbers_that_moved
@@ -206,7 +205,7 @@ def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -
     )
     name = found.base.physical_model.linear.name
     every: list[Any] = list(found.records)
-    samples = sum(r.omega.size if in_frequency(r) else r.n_samples for r in every)
+    samples = sum(r.n_points for r in every)
     responses = found.base.of_responses
     given = counted(len(every), "response" if responses else "record")
     return report_page(
@@ -378,7 +377,7 @@ def _report_model(
         drawn.append(_bode_picture(last, data))
     else:
         beside: Any = replace(compare(list(models), data), names=("initial", "refined"))
-        if in_frequency(data):
+        if not data.in_time:
             said = "Frequency responses of the initial and of the refined model, with the measured points."
             drawn.append(("response", partial(beside.plot, title=""), said, said))
             tables += boxed(responses_table(beside))
