@@ -20,7 +20,7 @@ import rcorefine as rco
 from ..comparison.result import best_of, failures_of
 from ..data.channels import SUFFIXES, read_record
 from ..models.reading import read_model
-from ..views import reports
+from ..views.content import content
 from .output import check_targets, finish
 
 
@@ -128,11 +128,10 @@ def answer(result: Any) -> tuple[list[str], bool]:
     if kind is rco.DamageMap:
         changes = [f"{row.kind} at {row.place}: {row.percent:.3g} %" for row in result.named]
         return [*changes, result.message], not result.named
-    if kind is rco.Comparison:
-        return reports.comparison_answer(result)[0], not failures_of(result, best_of(result))
-    if kind is rco.Diagnosis:
-        return reports.diagnosis_answer(result)
-    return (reports.improvement_answer if kind is rco.Improvement else reports.refinement_answer)(result)
+    sentences, fine = content(result).answer()
+    if kind is rco.Comparison:  # one model fails where another may not
+        fine = not failures_of(result, best_of(result))
+    return list(sentences), fine
 
 
 def explore(

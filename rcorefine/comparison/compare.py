@@ -112,7 +112,6 @@ def compare(
     >>> bool(result.fit[1, 0] > 99.999), bool(result.fit[0, 0] < 60)
     (True, True)
     """
-    # measured frequency responses are compared over frequency, records over time
     # one model or several; a controller closes the loop around each
     given = as_data(data, x0=x0, horizon=horizon, controller=controller, several=False)
     several = isinstance(model, (list, tuple))
