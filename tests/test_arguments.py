@@ -9,12 +9,10 @@ from types import SimpleNamespace
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Structure, main
 from test_report import code_of
 
 import rcorefine as rco
-from rcorefine.commands.cli import main
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
 from rcorefine.exceptions import own_arithmetic
 from rcorefine.views.code import comment, effects_code
 

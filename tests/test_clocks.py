@@ -8,11 +8,10 @@ import warnings
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Structure
 from scipy.linalg import expm
 
 import rcorefine as rco
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
 from rcorefine.inference.starts import common_lag, growing_lags
 
 A, B = np.array([[0.0, 1.0], [-380.0, -0.4]]), np.array([0.0, 1.0])

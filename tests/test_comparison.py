@@ -12,7 +12,7 @@ import pytest
 
 import rcorefine as rco
 from rcorefine import DataError, DivergenceError, ExcitationWarning, Measurement, compare
-from rcorefine.comparison import Comparison, fit_percent, root_mean_square
+from rcorefine.comparison import fit_percent, root_mean_square
 
 DT = 0.05
 A = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-20, 10, -0.4, 0.2], [10, -10, 0.2, -0.2]])
@@ -275,7 +275,7 @@ def test_nothing_is_changed(w):
 def test_result_survives_pickle_and_deepcopy(w):
     result = compare([chain(17.0), chain()], record(w, simulated(chain(), w)))
     for twin in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result)):
-        assert isinstance(twin, Comparison)
+        assert isinstance(twin, rco.Comparison)
         assert str(twin) == str(result)
         np.testing.assert_array_equal(twin.residual, result.residual)
         twin.plot()

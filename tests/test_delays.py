@@ -5,12 +5,10 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Problem, Structure
 from scipy.signal import cont2discrete, lfilter
 
 import rcorefine as rco
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.inference.problem import Problem
 
 PLANTS = {
     "heater": (np.array([[-0.9]]), np.array([[0.5]]), np.array([[1.0]]), 0.08),

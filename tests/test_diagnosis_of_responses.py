@@ -116,9 +116,9 @@ def test_sampled_responses_know_the_hold():
 
 @pytest.mark.parametrize("hold", ["zoh", "foh", "bandlimited"])
 def test_derivatives_are_those_of_differences(hold):
+    from inner import ResponseEngine, Structure
+
     from rcorefine.data.response_record import ResponseRecord
-    from rcorefine.engine.amplitude_response import ResponseEngine
-    from rcorefine.engine.structure import Structure
 
     kinds = ("stiffness", "link2"), ("mass", "mass2"), ("input_delay", "force"), ("input_lag", "force")
     structure = Structure(model(), [effect(*kind) for kind in kinds])
@@ -218,10 +218,10 @@ LAWS = {
 
 @pytest.mark.parametrize("kind", LAWS)
 def test_answers_of_all_lines_are_those_of_one_sine_at_a_time(kind):
+    from inner import ResponseEngine, Structure
+
     from rcorefine.data.response_record import ResponseRecord
-    from rcorefine.engine.amplitude_response import ResponseEngine
     from rcorefine.engine.harmonic_balance import SineBalance
-    from rcorefine.engine.structure import Structure
 
     one = rco.mass_spring_damper(1.0, 0.4, 100.0, sensors="displacement", outputs="q1")
     place, theta, close = LAWS[kind]
@@ -242,10 +242,10 @@ def test_answers_of_all_lines_are_those_of_one_sine_at_a_time(kind):
 
 def test_a_constant_force_shifts_the_answers_of_all_lines():
     """On a hardening spring it stiffens: as balanced one by one, and unlike without it."""
+    from inner import ResponseEngine, Structure
+
     from rcorefine.data.response_record import ResponseRecord
-    from rcorefine.engine.amplitude_response import ResponseEngine
     from rcorefine.engine.harmonic_balance import SineBalance
-    from rcorefine.engine.structure import Structure
 
     one = rco.mass_spring_damper(1.0, 0.4, 100.0, sensors="displacement", outputs="q1")
     effects = [effect("cubic_stiffness", "link1"), effect("constant_force", "mass1")]

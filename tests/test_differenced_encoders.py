@@ -5,11 +5,10 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Structure
 from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
 from rcorefine.models.library import reads_rate
 
 SECOND = ([[-2.0, 40.0], [-2.0, -50.0]], [[0.0], [60.0]])

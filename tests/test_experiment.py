@@ -12,6 +12,7 @@ import control as ct
 import numpy as np
 import pytest
 from hidden.generator import hidden_record
+from inner import Whitener
 from scipy import stats
 from scipy.optimize import least_squares
 from scipy.signal import StateSpace, lfilter, ss2tf
@@ -19,7 +20,6 @@ from scipy.signal import StateSpace, lfilter, ss2tf
 import rcorefine as rco
 from rcorefine.diagnosis.experiments import in_band
 from rcorefine.diagnosis.separation import Contender, Plan, sensor_rows, separation, with_sensor
-from rcorefine.inference.whitening import Whitener
 
 DT, N, NOISE = 0.02, 800, 0.02
 WHITE = Whitener((np.ones(1),), np.ones(1))

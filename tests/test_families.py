@@ -7,22 +7,26 @@ from types import SimpleNamespace
 import control as ct
 import numpy as np
 import pytest
+from inner import (
+    KINDS,
+    Case,
+    Engine,
+    Hypothesis,
+    Progress,
+    Search,
+    Start,
+    Structure,
+    answer,
+    base_fit,
+    levels,
+    unit_forces,
+)
 from scipy.signal import cont2discrete, dlsim
 from scipy.stats import chi2
 from test_rivals import friction_record
 
 import rcorefine as rco
-from rcorefine.diagnosis.case import Case
-from rcorefine.diagnosis.hypothesis import Hypothesis, Start
-from rcorefine.diagnosis.search import Search
-from rcorefine.diagnosis.verdict import TableRow, answer, special
-from rcorefine.effects import KINDS
-from rcorefine.effects.effect import unit_forces
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.inference.levels import levels
-from rcorefine.progress import Progress
-from rcorefine.refinement.refine import base_fit
+from rcorefine.diagnosis.verdict import TableRow, special
 
 LIMITS = {
     "displacement": 1e-6,
@@ -329,9 +333,7 @@ def test_every_estimate_that_carries_an_answer_is_printed(rng):
 
 def test_only_the_shapes_of_a_new_effect_are_open():
     """Beside a clearance, whose gap has several starts, a sensor's gain has one, and one column."""
-    from rcorefine.inference.fitted import fitted_from
-    from rcorefine.inference.sensitivities import candidate_columns
-    from rcorefine.inference.starts import estimated_motion
+    from inner import candidate_columns, estimated_motion, fitted_from
 
     model = rco.mass_spring_damper([1.0, 0.8], [0.3, 0.2], [100.0, 80.0], sensors=["displacement", 1])
     rng = np.random.default_rng(3)

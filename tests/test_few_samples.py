@@ -6,10 +6,10 @@ import control as ct
 import numpy as np
 import pytest
 from hidden.generator import hidden_record
+from inner import f_test, project, rank_basis
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.inference.f_tests import f_test, project, rank_basis
 from rcorefine.inference.whitening import huber_weights
 
 

@@ -7,19 +7,15 @@ import warnings
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Structure, fitted_from, residual_tests, unit_forces
 from scipy.integrate import quad, solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 from scipy.signal import cont2discrete, dlsim
 from scipy.stats import multivariate_normal
 
 import rcorefine as rco
-from rcorefine.diagnosis import residual_tests
 from rcorefine.diagnosis.beside import Beside, channel_curve, stops
-from rcorefine.effects.effect import unit_forces
 from rcorefine.effects.given import share_beyond
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.inference.fitted import fitted_from
 from rcorefine.inference.free_form import Curve, averaged_evidence, channel_signal, evidence
 
 SPRING = rco.Table(d=[-1.0, 0.0, 2.0], force=[-2.0, 0.0, 8.0])

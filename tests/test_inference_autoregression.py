@@ -4,19 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from inner import Whitener, stable_model
 from scipy import stats
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, lfiltic
 
-from rcorefine.inference.whitening import (
-    MAX_ORDER,
-    Whitener,
-    autoregression,
-    highest_order,
-    innovations,
-    stable_model,
-    whitened,
-)
+from rcorefine.inference.whitening import MAX_ORDER, autoregression, highest_order, innovations, whitened
 
 PEAK = np.poly([0.99 * np.exp(0.3j), 0.99 * np.exp(-0.3j)]).real
 THIRD = np.array([1.0, -1.2, 0.7, -0.2])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import statsmodels.api as sm
+from inner import Whitener, f_test, project, rank_basis
 from scipy import stats
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
@@ -18,8 +19,6 @@ from rcorefine.inference.covariance import (
     standard_deviations,
     wald,
 )
-from rcorefine.inference.f_tests import f_test, project, rank_basis
-from rcorefine.inference.whitening import Whitener
 
 
 def test_white_residuals_give_the_covariance_of_statsmodels(rng):

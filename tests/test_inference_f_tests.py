@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from inner import project, rank_basis
 from scipy import stats
 from scipy.linalg import block_diag
 
-from rcorefine.inference.f_tests import Basis, apart_test, lengths, project, rank_basis
+from rcorefine.inference.f_tests import Basis, apart_test, lengths
 
 
 def by_hand(residual, columns, fitted):

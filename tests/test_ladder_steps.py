@@ -9,13 +9,12 @@ import control as ct
 import numpy as np
 import pytest
 from hidden.generator import Law, held_motion
+from inner import Hypothesis, Structure, levels
 from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
-from rcorefine.diagnosis.hypothesis import Hypothesis, Trial
+from rcorefine.diagnosis.hypothesis import Trial
 from rcorefine.diagnosis.verdict import undetermined
-from rcorefine.engine.structure import Structure
-from rcorefine.inference.levels import levels
 from rcorefine.results import with_error
 
 DT = 0.02

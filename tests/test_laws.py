@@ -11,15 +11,12 @@ from pathlib import Path
 import control as ct
 import numpy as np
 import pytest
+from inner import KINDS, NUMBA, Engine, FormulaLaw, Structure
 from scipy.signal import lsim
 
 import rcorefine as rco
-from rcorefine.effects import KINDS, Coefficient, InputLaw, OutputLaw, PortLaw
+from rcorefine.effects import Coefficient, InputLaw, OutputLaw, PortLaw
 from rcorefine.effects.compiled import COUNT, evaluate
-from rcorefine.effects.formula import FormulaLaw
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.jit import NUMBA
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "laws"
 

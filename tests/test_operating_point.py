@@ -5,13 +5,10 @@ import pickle
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Structure, ordered_record
 from scipy.integrate import solve_ivp
 
 import rcorefine as rco
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.exceptions import ModelError
-from rcorefine.models.operating_point import ordered_record
 
 M, B, V0, DT = 1200.0, 40.0, 24.0, 0.1
 
@@ -192,12 +189,12 @@ def test_check_says_which_of_the_two_a_record_looks_like():
 @pytest.mark.parametrize(
     ("point", "error", "words"),
     [
-        ({"inputs": 1.0}, ModelError, "lacks 'states'"),
-        ({"inputs": 1.0, "states": {"x": 1.0}}, ModelError, "names 'x'"),
-        ({"inputs": {}, "states": 1.0}, ModelError, "lacks F"),
+        ({"inputs": 1.0}, rco.ModelError, "lacks 'states'"),
+        ({"inputs": 1.0, "states": {"x": 1.0}}, rco.ModelError, "names 'x'"),
+        ({"inputs": {}, "states": 1.0}, rco.ModelError, "lacks F"),
         ({"inputs": 1.0, "states": [1.0, 2.0]}, ct.ControlDimension, "expected 1"),
         ({"inputs": 1.0, "states": "fast"}, ct.ControlArgument, "states of operating_point"),
-        ({"inputs": 1.0, "states": 1.0, "u": 1.0}, ModelError, "names 'u'"),
+        ({"inputs": 1.0, "states": 1.0, "u": 1.0}, rco.ModelError, "names 'u'"),
         (3.0, ct.ControlArgument, "operating_point must be a mapping"),
     ],
 )
@@ -208,9 +205,9 @@ def test_bad_points_are_refused_by_name(point, error, words):
 
 def test_what_takes_no_point_says_so():
     model = car(F_DRAG)
-    with pytest.raises(ModelError, match="no operating point yet"):
+    with pytest.raises(rco.ModelError, match="no operating point yet"):
         rco.Monitor(model, dt=DT)
-    with pytest.raises(ModelError, match="no operating point yet"):
+    with pytest.raises(rco.ModelError, match="no operating point yet"):
         rco.frequency_response_at(model, [1.0], [1.0])
-    with pytest.raises(ModelError, match="no operating point yet"):
+    with pytest.raises(rco.ModelError, match="no operating point yet"):
         rco.RCORefiner(model, dt=DT, effects=[rco.Effect("damping", "v")])

@@ -8,19 +8,13 @@ from typing import Any
 import control as ct
 import numpy as np
 import pytest
+from inner import Case, Engine, Progress, Search, Structure, base_fit
 from scipy.signal import cont2discrete, dlsim
 from scipy.stats import binom, chi2, norm
 
 import rcorefine as rco
-from rcorefine.diagnosis.case import Case
 from rcorefine.diagnosis.nuisances import with_fitting_priors
-from rcorefine.diagnosis.search import Search
 from rcorefine.diagnosis.words import determined, numbers_that_moved
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.inference.parameters import EstimatedParameter
-from rcorefine.progress import Progress
-from rcorefine.refinement.refine import base_fit
 
 M, C, K = (1.0, 0.6), (0.4, 0.3), (120.0, 90.0)  # two masses on the ground and on each other
 FACTORS = {"m2": 0.97, "k1": 1.03, "k2": 0.98, "c1": 1.04}
@@ -254,7 +248,7 @@ def test_numbers_that_leave_most_of_the_record_do_not_explain_it():
 
 def test_numbers_that_moved_far_may_stand_in_for_a_law():
     def row(value, std):
-        return EstimatedParameter("k", "stiffness", "q1", 100.0, value, value - 100.0, std, "", "linear")
+        return rco.EstimatedParameter("k", "stiffness", "q1", 100.0, value, value - 100.0, std, "", "linear")
 
     assert "stand in" not in numbers_that_moved([row(125.0, 1.0)])
     assert "stand in" not in numbers_that_moved([row(140.0, 5.0)])  # 40 +- 15 %: not for certain

@@ -13,14 +13,13 @@ import warnings
 import control as ct
 import numpy as np
 import pytest
+from inner import CoefficientFilter
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, dlsim
 from scipy.stats import binom
 
 import rcorefine as rco
 from rcorefine import RCORefiner
-from rcorefine.exceptions import ConversionWarning
-from rcorefine.streaming.coefficients.setup import CoefficientFilter
 
 
 def system(A, B, C, D=None):
@@ -516,8 +515,9 @@ def test_units_of_the_signals_do_not_matter(scale):
 
 
 def test_the_nearest_continuous_model():
+    from inner import LinearModel
+
     from rcorefine.systems.conversion import nearest_continuous
-    from rcorefine.systems.linear import LinearModel
 
     good = motor().sample(0.02)
     np.testing.assert_allclose(nearest_continuous(LinearModel.from_statespace(good)).A, motor().A, rtol=1e-9)
@@ -528,7 +528,7 @@ def test_the_nearest_continuous_model():
         odd = ct.ss(
             A, rng.standard_normal((len(poles), 1)), rng.standard_normal((1, len(poles))), [[0.5]], 0.1
         )
-        with pytest.warns(ConversionWarning, match="z = 0.02"):
+        with pytest.warns(rco.ConversionWarning, match="z = 0.02"):
             near = nearest_continuous(LinearModel.from_statespace(odd)).to_statespace()
         assert near.isctime()
         np.testing.assert_allclose(near.dcgain(), odd.dcgain(), rtol=1e-6)

@@ -8,8 +8,9 @@ import tempfile
 
 import numpy as np
 import pytest
+from inner import NUMBA
 
-from rcorefine.jit import NUMBA, _own_folder, by_address, compiled
+from rcorefine.jit import _own_folder, by_address, compiled
 from rcorefine.streaming.rcmr.kernels import Design, direct_step, learn
 from rcorefine.streaming.rcmr.setup import start
 

@@ -6,10 +6,10 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from inner import LinearModel
 
+import rcorefine as rco
 from rcorefine import Measurement, compare, physical, refine
-from rcorefine.data.frequency_response import FrequencyResponse
-from rcorefine.systems.linear import LinearModel
 from rcorefine.systems.response import as_sampled
 from rcorefine.views import bode_comparison, html_table, text_table
 
@@ -203,13 +203,13 @@ def test_a_plain_frd_serves_as_measured_response():
     assert "analyzer" in [t.get_text() for t in cplt.legend.get_texts()]
     sampled = record(resonant()).frequency_response().frd
     bode_comparison([("true", resonant())], sampled)
-    response = FrequencyResponse.from_frd(sampled)
+    response = rco.FrequencyResponse.from_frd(sampled)
     assert "not known" in str(response)
     response.plot()
     with pytest.raises(ct.ControlArgument, match="TransferFunction"):
         bode_comparison([("true", resonant())], ct.tf(1, [1, 1]))
     with pytest.raises(ValueError, match="not positive"):
-        FrequencyResponse.from_frd(ct.frd([1.0, 1.0], [0.0, 1.0]))
+        rco.FrequencyResponse.from_frd(ct.frd([1.0, 1.0], [0.0, 1.0]))
 
 
 def test_static_and_integrating_and_unstable_models_draw():

@@ -5,13 +5,11 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from inner import KINDS, Engine, Structure
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.effects.law import KINDS
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
 
 A = np.array([[0.0, 1.0, 0.0], [-310.0, -0.8, 40.0], [0.0, -3.0, -25.0]])
 B = np.array([[0.0], [0.0], [50.0]])

@@ -9,16 +9,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from hidden.generator import Law, _with, held_motion, hidden_record, linear_states
+from inner import fitted_from, levels, ordered_record
 from scipy import stats
 from scipy.optimize import least_squares
 from scipy.signal import StateSpace, dlsim, lsim
 
 import rcorefine as rco
 from rcorefine.diagnosis.diagnose import amplitude_test
-from rcorefine.inference.fitted import fitted_from
-from rcorefine.inference.levels import levels
 from rcorefine.inference.problem import Evaluation
-from rcorefine.models.operating_point import ordered_record
 
 M, C, K = 1.0, 0.4, 100.0
 SPRING = rco.Effect("stiffness", "link1")

@@ -5,13 +5,10 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from inner import candidate_columns, estimated_motion, fitted_from, residual_tests
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.diagnosis import residual_tests
-from rcorefine.inference.fitted import fitted_from
-from rcorefine.inference.sensitivities import candidate_columns
-from rcorefine.inference.starts import estimated_motion
 
 HOUSE = ct.ss(
     [[-0.324, 0.216], [0.108, -0.108]], [[1.0], [0.0]], [[1.0, 0.0]], 0,

@@ -7,14 +7,12 @@ from math import atan, sin
 import control as ct
 import numpy as np
 import pytest
+from inner import NUMBA, Engine, Structure
 from numpy import array, cosh
 
 import rcorefine as rco
 from rcorefine.effects.expressions import Tape, Untraceable, as_numbers, tracing
 from rcorefine.effects.right_hand_side import RightHandSide, exact_slopes
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.jit import NUMBA
 
 AT = np.array([0.3, 0.7, 0.2])
 

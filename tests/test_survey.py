@@ -10,9 +10,9 @@ from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 import control as ct
 import numpy as np
 import pytest
+from inner import main
 
 import rcorefine as rco
-from rcorefine.commands.cli import main
 
 DT = 0.02
 LAWS = [rco.Effect(kind, "link1") for kind in ("stiffness", "damping")]

@@ -3,10 +3,11 @@
 import control as ct
 import numpy as np
 import pytest
+from inner import LinearModel, to_discrete
 from scipy import linalg, signal
 
-from rcorefine.exceptions import ModelError
-from rcorefine.systems import LinearModel, check_sampling_time, discretize, to_discrete
+import rcorefine as rco
+from rcorefine.systems import check_sampling_time, discretize
 from rcorefine.systems.discretization import exponential
 
 
@@ -95,13 +96,13 @@ def test_model_without_states_or_inputs():
     [
         ([[1.0, 2.0]], [[1.0]], 0.1, "zoh", ct.ControlDimension, "square"),
         ([[1.0]], [[1.0], [2.0]], 0.1, "zoh", ct.ControlDimension, "n_w"),
-        ([[np.nan]], [[1.0]], 0.1, "zoh", ModelError, r"A is not finite at \[0, 0\]"),
-        ([[1.0]], [[np.inf]], 0.1, "zoh", ModelError, "B is not finite"),
-        ([[1.0]], [[1.0]], 0.0, "zoh", ModelError, "positive"),
+        ([[np.nan]], [[1.0]], 0.1, "zoh", rco.ModelError, r"A is not finite at \[0, 0\]"),
+        ([[1.0]], [[np.inf]], 0.1, "zoh", rco.ModelError, "B is not finite"),
+        ([[1.0]], [[1.0]], 0.0, "zoh", rco.ModelError, "positive"),
         ([[1.0]], [[1.0]], True, "zoh", ct.ControlArgument, "True"),
         ([[1.0]], [[1.0]], "fast", "zoh", ct.ControlArgument, "fast"),
         ([[1.0]], [[1.0]], 0.1, "bandlimited", ct.ControlArgument, "bandlimited"),
-        ([[1e6]], [[1.0]], 1.0, "zoh", ModelError, "grows beyond"),
+        ([[1e6]], [[1.0]], 1.0, "zoh", rco.ModelError, "grows beyond"),
     ],
 )
 def test_bad_input_is_named(a, b, dt, hold, error, words):
@@ -157,7 +158,7 @@ def test_to_discrete_takes_over_the_records_timebase(own, dt):
 
 
 def test_contradicting_sampling_times_are_both_named():
-    with pytest.raises(ModelError, match=r"'plant' has dt = 0\.1 s but the record has dt = 0\.2 s"):
+    with pytest.raises(rco.ModelError, match=r"'plant' has dt = 0\.1 s but the record has dt = 0\.2 s"):
         to_discrete(labeled(0.1), 0.2)
 
 

@@ -3,17 +3,16 @@
 import control as ct
 import numpy as np
 import pytest
+from inner import LinearModel, bode_error
 
-from rcorefine.exceptions import ModelError
+import rcorefine as rco
 from rcorefine.systems import (
-    LinearModel,
-    bode_error,
     characteristic_polynomial,
     default_omega,
     frequency_response,
     observable_form,
     response,
-)  # fmt: skip
+)
 
 
 @pytest.mark.parametrize("dt", [0, 0.1, True, None])
@@ -81,11 +80,11 @@ WIDE = ct.ss([[-1.0]], [[1.0, 1.0]], [[1.0]], 0)
 @pytest.mark.parametrize(
     ("true", "estimate", "omega", "dt", "error", "words"),
     [
-        (LAG, LAG, None, None, ModelError, "give dt="),
-        (0 * LAG, LAG, None, 0.1, ModelError, "is zero"),
+        (LAG, LAG, None, None, rco.ModelError, "give dt="),
+        (0 * LAG, LAG, None, 0.1, rco.ModelError, "is zero"),
         (LAG, WIDE, None, 0.1, ct.ControlDimension, "same channels"),
         (LAG, LAG, [[1.0]], None, ct.ControlDimension, "one-dimensional"),
-        (LAG, LAG, [1.0, np.nan], None, ModelError, r"omega\[1\]"),
+        (LAG, LAG, [1.0, np.nan], None, rco.ModelError, r"omega\[1\]"),
     ],
 )
 def test_bode_error_needs_a_range_and_a_true_response(true, estimate, omega, dt, error, words):
@@ -152,7 +151,7 @@ def test_static_gain_has_nothing_to_transform():
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_unobservable_mode_is_named(scale):
     model = ct.ss([[-1.0, 0], [0, -2.0]], [[1], [1]], [[scale, 0]], 0, name="pair")
-    with pytest.raises(ModelError, match=r"'pair' is not observable.*mode at -2"):
+    with pytest.raises(rco.ModelError, match=r"'pair' is not observable.*mode at -2"):
         observable_form(LinearModel.from_statespace(model))
 
 

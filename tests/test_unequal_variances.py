@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import statsmodels.api as sm
 from hidden.generator import disturbed, fed_back, hidden_record
+from inner import f_test, project, rank_basis
 from scipy import stats
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.inference.f_tests import f_test, project, rank_basis, unequal_variances
+from rcorefine.inference.f_tests import unequal_variances
 
 
 def motion_of(rng, n, bursts):

@@ -5,12 +5,11 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from inner import LinearModel, Structure
 
 import rcorefine as rco
 from rcorefine.engine.controlled import runs_away
 from rcorefine.engine.observer import leading_gain
-from rcorefine.engine.structure import Structure
-from rcorefine.systems.linear import LinearModel
 
 MASS = np.array([[1.2, 0.1], [0.1, 0.05]])
 DAMPING, STIFFNESS = np.diag([0.3, 0.01]), np.diag([0.0, -0.981])

@@ -9,25 +9,30 @@ from typing import Any
 import control as ct
 import numpy as np
 import pytest
+from inner import (
+    Case,
+    Hypothesis,
+    Progress,
+    Search,
+    Start,
+    Whitener,
+    answer,
+    base_fit,
+    candidate_columns,
+    levels,
+)
 from scipy import stats
 from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
-from rcorefine.diagnosis.case import Case
 from rcorefine.diagnosis.diagnose import _places
-from rcorefine.diagnosis.hypothesis import Hypothesis, Start
 from rcorefine.diagnosis.nuisances import Hold, Parameters
 from rcorefine.diagnosis.open_law import FreeForces
 from rcorefine.diagnosis.residual_tests import overall, passes
 from rcorefine.diagnosis.screening import Metric, Screen
-from rcorefine.diagnosis.search import Search
-from rcorefine.diagnosis.verdict import Answer, answer, table
+from rcorefine.diagnosis.verdict import Answer, table
 from rcorefine.inference.f_tests import FTest
-from rcorefine.inference.levels import Levels, levels
-from rcorefine.inference.sensitivities import candidate_columns
-from rcorefine.inference.whitening import Whitener
-from rcorefine.progress import Progress
-from rcorefine.refinement.refine import base_fit
+from rcorefine.inference.levels import Levels
 
 NAMES = {"k": "cubic_stiffness", "f": "coulomb_friction", "g": "input_gain", "d": "damping"}
 FLOATED, FOH = frozenset([Parameters(0.2)]), frozenset([Hold("foh")])

@@ -5,11 +5,10 @@ from dataclasses import replace
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Structure
 from scipy.integrate import solve_ivp
 
 import rcorefine as rco
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
 
 R, L, C, DT = 40.0, 0.02, 5e-5, 2e-4
 ELEMENTS = {"resistor": "damping", "inductor": "mass", "capacitor": "stiffness"}

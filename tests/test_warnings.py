@@ -5,25 +5,26 @@ import warnings
 
 import pytest
 
-from rcorefine.exceptions import ConversionWarning, IdentifiabilityWarning, RCOWarning, unheard, warn
+import rcorefine as rco
+from rcorefine.exceptions import unheard, warn
 
 
 def nested() -> None:
-    with unheard(IdentifiabilityWarning):
-        warn("hidden", IdentifiabilityWarning)
-        warn("other", ConversionWarning)
+    with unheard(rco.IdentifiabilityWarning):
+        warn("hidden", rco.IdentifiabilityWarning)
+        warn("other", rco.ConversionWarning)
         with unheard():
-            warn("hidden", ConversionWarning)
-        warn("other", RCOWarning)
+            warn("hidden", rco.ConversionWarning)
+        warn("other", rco.RCOWarning)
 
 
 def test_categories_and_nesting():
-    with pytest.warns(RCOWarning, match="other") as heard:
+    with pytest.warns(rco.RCOWarning, match="other") as heard:
         nested()
     assert [str(one.message) for one in heard] == ["other", "other"]
     assert heard[0].filename == __file__  # where it was called, not where it stands
-    with pytest.warns(IdentifiabilityWarning, match="again"):
-        warn("again", IdentifiabilityWarning)
+    with pytest.warns(rco.IdentifiabilityWarning, match="again"):
+        warn("again", rco.IdentifiabilityWarning)
 
 
 def test_another_thread_is_heard_and_filters_stay():
@@ -34,13 +35,13 @@ def test_another_thread_is_heard_and_filters_stay():
         with unheard():
             first.set()
             second.wait(10)
-            warn("hidden", RCOWarning)
+            warn("hidden", rco.RCOWarning)
 
     thread = threading.Thread(target=quiet)
     thread.start()
     first.wait(10)
-    with pytest.warns(RCOWarning, match="said"):
-        warn("said", RCOWarning)
+    with pytest.warns(rco.RCOWarning, match="said"):
+        warn("said", rco.RCOWarning)
     with unheard():
         second.set()
         thread.join()

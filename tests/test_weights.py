@@ -3,12 +3,10 @@
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Structure
 
 import rcorefine as rco
 from rcorefine import Effect, Measurement
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.exceptions import ModelError
 from rcorefine.models.parameters import independent_parameters
 
 
@@ -139,7 +137,7 @@ def test_units_of_an_entry():
 
 @pytest.mark.parametrize("place", ["B[v1,v]", "C[v1,v]", "D[1,0]", "E[0,0]", "D[0]"])
 def test_what_is_no_entry(place):
-    with pytest.raises(ModelError, match="is no entry of the model"):
+    with pytest.raises(rco.ModelError, match="is no entry of the model"):
         rco.physical(battery()).check(Effect("coefficient", place))
 
 
