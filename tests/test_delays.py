@@ -5,6 +5,7 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from cases import sweep
 from inner import Engine, Problem, Structure
 from scipy.signal import cont2discrete, lfilter
 
@@ -44,10 +45,21 @@ def estimate(refined):
     return row.value, row.std
 
 
-@pytest.mark.parametrize("before", [200, 0], ids=["in motion", "at rest"])
-@pytest.mark.parametrize("at_output", [False, True], ids=["input", "output"])
-@pytest.mark.parametrize(("plant", "samples"), [("heater", 6), ("tanks", 5), ("mass", 9)])
-def test_delay_is_found_and_then_nothing_is_missing(plant, samples, at_output, before):
+#: Delay of each plant in samples.
+SAMPLES = {"heater": 6, "tanks": 5, "mass": 9}
+
+
+@pytest.mark.parametrize(
+    ("plant", "at_output", "before"),
+    sweep(
+        [("heater", False, 200), ("tanks", True, 0), ("mass", True, 200), ("mass", False, 0)],
+        SAMPLES,
+        (False, True),
+        (200, 0),
+    ),
+)
+def test_delay_is_found_and_then_nothing_is_missing(plant, at_output, before):
+    samples = SAMPLES[plant]
     model, data, effect = delayed(3, plant, samples, at_output=at_output, before=before)
     refined = rco.refine(model, data, [effect])
     value, std = estimate(refined)

@@ -10,6 +10,7 @@ import pickle
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 
 import rcorefine as rco
 from rcorefine import exercises
@@ -26,7 +27,7 @@ def right_of(exercise):
     return next(c for c in exercise.candidates if exercise.check(c.kind, c.place).effect == "right")
 
 
-@pytest.mark.parametrize("plant", exercises.plants)
+@pytest.mark.parametrize("plant", [*exercises.plants[:2], *slow(*exercises.plants[2:])])
 def test_a_student_finds_it_and_everything_else_is_wrong(plant):
     level = 2
     exercise = exercises.hidden_effect(7, plant, level)

@@ -16,6 +16,7 @@ from pathlib import Path
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from hidden.generator import Law, held_motion
 from scipy.linalg import expm
 from scipy.signal import lfilter
@@ -288,7 +289,7 @@ class Off(Chain):
         return w, clean + noise * self.rng.standard_normal(len(loss))
 
 
-@pytest.mark.parametrize(("seed", "n", "follows"), [(51, 2, 0), (54, 3, 0.05)])
+@pytest.mark.parametrize(("seed", "n", "follows"), [(54, 3, 0.05), *slow((51, 2, 0))])
 def test_an_input_that_grows_rings_nothing_and_a_change_right_after_does(seed, n, follows):
     plant = Off(seed, n)
     start = 4000 + int(2 * plant.period)
@@ -453,7 +454,7 @@ def test_gaps_ring_no_alarm_and_damage_is_found_all_the_same(rng):
     assert monitor.alarm.effect.place == f"link{plant.link + 1}"
 
 
-@pytest.mark.parametrize("seed", [31, 32])
+@pytest.mark.parametrize("seed", [31, *slow(32)])
 def test_a_constant_offset_of_a_sensor_hides_no_damage(seed):
     plant = Chain(seed, n=1, sensor="displacement")
     w, y = plant.record(step(SHORT, int(60 * plant.period), 0.2))
@@ -472,10 +473,12 @@ def test_a_constant_offset_of_a_sensor_hides_no_damage(seed):
     assert monitor.alarm.coefficients["stiffness"] == pytest.approx(-0.2 * plant.k[0], rel=0.05)
 
 
-@pytest.mark.parametrize(("gone", "force"), [("w", 0.0), ("y", 0.3), ("both", 0.0)])
-def test_gaps_of_healthy_streams_ring_no_more_than_stated(gone, force):
-    rang, streams, N = 0, 24, 5500
+@pytest.mark.parametrize("where", ["w y both", *slow("w", "y", "both")])
+def test_gaps_of_healthy_streams_ring_no_more_than_stated(where):
+    rang, streams, N, kinds = 0, 24, 5500, where.split()
     for seed in range(8100, 8100 + streams):
+        gone = kinds[seed % len(kinds)]
+        force = 0.3 if gone == "y" else 0.0
         plant, other = (Chain(seed, n=1 + seed % 2) for _ in range(2))
         other.rng = np.random.default_rng([seed, 98])  # a force that nobody measures
         w, y = plant.record(np.zeros(N))
@@ -562,7 +565,7 @@ def test_saved_or_pickled_in_the_middle_it_goes_on_the_same(tmp_path):
         rco.Monitor.load(tmp_path / "refiner.npz")
 
 
-@pytest.mark.parametrize("seed", [31, 32, 33])
+@pytest.mark.parametrize("seed", [31, *slow(32, 33)])
 def test_a_sensor_that_drifts_while_learning_and_jumps_back_does_not_end_the_monitor(seed):
     plant = Chain(seed, n=1)  # a period of few samples, less than the whitening filter looks back
     w, y = plant.record(np.zeros(1400))
@@ -585,7 +588,7 @@ class Trap:
         return d
 
 
-@pytest.mark.parametrize("start", [300, 700, 1200])
+@pytest.mark.parametrize("start", [300, 1200, *slow(700)])
 @pytest.mark.filterwarnings("ignore:custom cannot be compiled")
 def test_a_failed_update_changes_nothing(start):
     plant = Chain(34, n=2, sensor="displacement")
@@ -751,12 +754,12 @@ def test_bad_samples_are_refused():
 
 
 # ------------------------------------------------------------------------ statistics
-@pytest.mark.parametrize("color", ["white", "ar"])
-def test_false_alarms_stay_below_the_stated_number(color):
-    total, seeds, N = 0, 5, 12_000
+@pytest.mark.parametrize("colors", ["white ar", *slow("white", "ar")])
+def test_false_alarms_stay_below_the_stated_number(colors):
+    total, seeds, N, kinds = 0, 5, 12_000, colors.split()
     for seed in range(200, 200 + seeds):
         plant = Chain(seed)
-        w, y = plant.record(np.zeros(N), color=color)
+        w, y = plant.record(np.zeros(N), color=kinds[seed % len(kinds)])
         monitor = rco.Monitor(plant.model, dt=plant.dt, false_alarms=1.0)
         monitor.update(w, y)
         total += len(monitor.past_alarms) + (monitor.alarm is not None)
@@ -909,8 +912,7 @@ def two_masses(seed, change):
     return monitor
 
 
-@pytest.mark.parametrize("change", ["step", "stuck"])
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(("seed", "change"), [(0, "step"), (1, "stuck"), *slow((1, "step"), (0, "stuck"))])
 def test_a_fault_of_a_sensor_is_none_of_the_candidates(seed, change):
     monitor = two_masses(seed, change)
     assert monitor.alarm.probability < 0.05
@@ -925,7 +927,7 @@ def test_a_candidate_that_is_true_keeps_its_name():
     assert abs(monitor.alarm.coefficients["stiffness"] + 10.0) < 4.0 * monitor.alarm.std["stiffness"]
 
 
-@pytest.mark.parametrize("seed", [6003, pytest.param(6010, marks=pytest.mark.slow), 7708])
+@pytest.mark.parametrize("seed", [6003, *slow(6010, 7708)])
 def test_a_softer_spring_is_named_where_others_nearly_fit(seed):
     """Samples off, a mass or the neighboring spring fitted better than the spring that is softer.
 

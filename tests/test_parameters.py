@@ -8,6 +8,7 @@ from typing import Any
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from inner import Case, Engine, Progress, Search, Structure, base_fit
 from scipy.signal import cont2discrete, dlsim
 from scipy.stats import binom, chi2, norm
@@ -53,7 +54,9 @@ BUILT = rco.mass_spring_damper(M, C, K)
 PLAIN = ct.ss(*matrices(), np.eye(4)[:2], np.zeros((2, 1)), states=["q1", "q2", "v1", "v2"])
 
 
-@pytest.mark.parametrize("model", [BUILT, PLAIN], ids=["built", "plain"])
+@pytest.mark.parametrize(
+    "model", [pytest.param(BUILT, id="built"), pytest.param(PLAIN, id="plain", marks=pytest.mark.slow)]
+)
 def test_numbers_that_are_off_are_no_missing_law(model: object) -> None:
     found = rco.diagnose(model, record(1, **FACTORS))
     assert found.verdict == "parameters"
@@ -199,7 +202,7 @@ def test_improve_fits_the_numbers_and_adds_no_law() -> None:
     assert np.all(last.validation_rmse < first.validation_rmse)
 
 
-@pytest.mark.parametrize("slow", [0.002, -0.003])
+@pytest.mark.parametrize("slow", [0.002, *slow(-0.003)])
 def test_a_clock_that_is_off_is_found_as_such(slow: float) -> None:
     true = record(6, dt=0.03 * (1 + slow), n=1500)
     data = rco.Measurement(true.inputs, true.outputs, dt=0.03)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from hidden.generator import Law, excitation, integrate, linear_states, outputs
 from hidden.plants import PLANTS
 from hidden.strong import servo_record
@@ -55,7 +56,7 @@ def test_the_order_holds_beside_a_fixed_coefficient():
 
 
 @pytest.mark.filterwarnings("ignore::rcorefine.IdentifiabilityWarning")
-@pytest.mark.parametrize("seed", [21, 24])
+@pytest.mark.parametrize("seed", [21, *slow(24)])
 def test_refine_of_a_diagnosis_ends_no_lower_than_the_ranking(seed):
     hidden = servo_record(seed, samples=1500)
     offered = [rco.Effect(kind, "angle") for kind in ("asymmetric_friction", "damping")]
@@ -160,7 +161,7 @@ def hardening(cubic):
     return rco.diagnose(plain, rco.Measurement(u, y + noise, dt=dt), candidates=laws, tolerance=0.02), noise
 
 
-@pytest.mark.parametrize("cubic", [1000.0, 3000.0, pytest.param(9000.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cubic", [3000.0, *slow(1000.0, 9000.0)])
 def test_a_strong_law_is_followed_to_its_free_run_and_listed_with_its_fit(cubic):
     found, noise = hardening(cubic)
     (record,) = found.records

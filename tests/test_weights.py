@@ -3,6 +3,7 @@
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from inner import Engine, Structure
 
 import rcorefine as rco
@@ -164,9 +165,11 @@ def test_a_series_resistance_is_named():
 @pytest.mark.parametrize(
     "model, truth, dt",
     [
-        (battery(), battery(0.055, 0.018, 0.03), 0.5),
         (bicycle(), bicycle(6.6e4, 6.3e4), 0.02),
-        (ct.ss(ct.tf([0.3, 2, 5], [1, 1.2, 9])), ct.ss(ct.tf([0.33, 1.8, 5.3], [1, 1.2, 9])), 0.05),
+        *slow(
+            (battery(), battery(0.055, 0.018, 0.03), 0.5),
+            (ct.ss(ct.tf([0.3, 2, 5], [1, 1.2, 9])), ct.ss(ct.tf([0.33, 1.8, 5.3], [1, 1.2, 9])), 0.05),
+        ),
     ],
 )
 def test_weights_that_are_off_are_numbers(model, truth, dt):
