@@ -13,7 +13,7 @@ from scipy import stats
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.diagnosis.noise import noise_of, rounding_step
+from rcorefine.diagnosis import noise as noises
 
 
 def _ringing(record: Wider, rng: np.random.Generator) -> rco.Measurement:
@@ -45,8 +45,11 @@ def _noises(rng: np.random.Generator) -> Iterator[tuple[str, np.ndarray, np.ndar
 
 def test_each_sort_of_noise_is_recognized(rng: np.random.Generator) -> None:
     for name, y, seen in _noises(rng):
-        outputs, steps = np.array([[*seen], [*(y + rng.standard_normal(3000))]]), [rounding_step(seen), 0.0]
-        found = noise_of([np.array([y, y]) - outputs], [outputs], steps)
+        outputs, steps = (
+            np.array([[*seen], [*(y + rng.standard_normal(3000))]]),
+            [noises.rounding_step(seen), 0.0],
+        )
+        found = noises.noise_of([np.array([y, y]) - outputs], [outputs], steps)
         assert found.names[0].startswith(name)
         assert found.names[1] == "autoregressive 0"
         assert found.uneven == (name in ("Student", "proportional"))
@@ -60,9 +63,9 @@ def test_each_sort_of_noise_is_recognized(rng: np.random.Generator) -> None:
 
 def test_only_rounded_values_have_a_step(rng: np.random.Generator) -> None:
     y = rng.standard_normal(2000)
-    assert rounding_step(y) == 0.0
+    assert noises.rounding_step(y) == 0.0
     for step in (0.01, 0.3):
-        assert rounding_step(step * np.round(y / step)) == pytest.approx(step)
+        assert noises.rounding_step(step * np.round(y / step)) == pytest.approx(step)
 
 
 @pytest.mark.parametrize("seed", [41002, *slow(41006)])

@@ -9,8 +9,7 @@ from scipy import stats
 from statsmodels.stats.meta_analysis import combine_effects
 
 import rcorefine as rco
-from rcorefine.fleet import pooling
-from rcorefine.fleet.comparison import Estimate, SurveyRow, fleet_effects, trends
+from rcorefine.fleet import comparison, pooling
 
 KIND, PLACE = "coulomb_friction", "link1"
 
@@ -97,9 +96,9 @@ def test_slopes_are_those_of_an_analysis_of_covariance(rng):
 def rows_of(values, std=0.1, starts=None, kind=KIND):
     """Rows of a fleet from (machine, record) estimates."""
     return [
-        SurveyRow(
+        comparison.SurveyRow(
             f"m{i}", f"r{j}", j, 0.0 if starts is None else starts[j], "effect", kind, PLACE, value, std, "N",
-            estimates=(Estimate(kind, PLACE, "force", float(value), std, "N"),),
+            estimates=(comparison.Estimate(kind, PLACE, "force", float(value), std, "N"),),
             effects=(rco.Effect(kind, PLACE),),
         )
         for i, mine in enumerate(values)
@@ -113,7 +112,7 @@ def test_what_grows_and_nothing_else(rng):
     for _ in range(100):
         values = 1.0 + 0.2 * rng.standard_normal((8, 1)) + 0.1 * rng.standard_normal((8, 10))
         values[3] += 0.05 * np.arange(10)
-        grows = [trend.machine for trend in trends(rows_of(values), 0.01) if trend.grows]
+        grows = [trend.machine for trend in comparison.trends(rows_of(values), 0.01) if trend.grows]
         found += grows == ["m3"]
     # the slope is known to 0.1 / sqrt(82.5): 4.5 standard deviations, and 8 tests at 0.01 need 3.4
     assert found >= stats.binom.ppf(0.001, 100, stats.norm.sf(3.4 - 4.5) - 0.01)
@@ -124,7 +123,7 @@ def test_nothing_grows_where_nothing_does(rng):
     hits = 0
     for k in range(400):
         values = 1.0 + (0.1 + 0.2 * (k % 2)) * rng.standard_normal((6, 4))
-        hits += any(trend.grows for trend in trends(rows_of(values), 0.05))
+        hits += any(trend.grows for trend in comparison.trends(rows_of(values), 0.05))
     assert hits <= stats.binom.ppf(0.999, 400, 0.05)
 
 
@@ -134,7 +133,7 @@ def test_common_own_and_unclear(rng):
     one = 0.1 * rng.standard_normal((8, 2))
     one[5] += 4.0
     rows = [*everywhere, *nowhere, *rows_of(one, kind="stiffness")]
-    found = {effect.kind: effect for effect in fleet_effects(rows, 0.01)}
+    found = {effect.kind: effect for effect in comparison.fleet_effects(rows, 0.01)}
     assert {kind: effect.sort for kind, effect in found.items()} == {
         KIND: "common", "stiffness": "own", "quadratic_damping": "unclear",
     }  # fmt: skip
@@ -145,7 +144,7 @@ def test_common_own_and_unclear(rng):
 
 def test_three_machines_cannot_tell_who_stands_out():
     """Nobody is named, and no deviation is given."""
-    [effect] = fleet_effects(rows_of([[1.0], [1.0], [9.0]]), 0.01)
+    [effect] = comparison.fleet_effects(rows_of([[1.0], [1.0], [9.0]]), 0.01)
     assert not effect.standing_out
     assert [machine.deviation for machine in effect.machines] == [None] * 3
 
@@ -153,7 +152,7 @@ def test_three_machines_cannot_tell_who_stands_out():
 def test_time_is_that_of_the_records_where_they_have_one():
     """Records that begin at 0, 10, 30 s have slopes per second; those that all begin at 0 per record."""
     values = [[1.0, 2.0, 4.0]]
-    [clock] = trends(rows_of(values, starts=[0.0, 10.0, 30.0]), 0.01)
+    [clock] = comparison.trends(rows_of(values, starts=[0.0, 10.0, 30.0]), 0.01)
     assert (clock.per, clock.slope) == ("s", pytest.approx(0.1))
-    [counted] = trends(rows_of(values), 0.01)
+    [counted] = comparison.trends(rows_of(values), 0.01)
     assert counted.per == "record"

@@ -15,8 +15,7 @@ from inner import KINDS, NUMBA, Engine, FormulaLaw, Structure
 from scipy.signal import lsim
 
 import rcorefine as rco
-from rcorefine.effects import Coefficient, InputLaw, OutputLaw, PortLaw
-from rcorefine.effects.compiled import COUNT, evaluate
+from rcorefine.effects import Coefficient, InputLaw, OutputLaw, PortLaw, compiled
 
 DOCS = Path(__file__).resolve().parents[1] / "docs" / "laws"
 
@@ -88,10 +87,10 @@ def test_slopes_are_those_of_the_formula(name):
         point |= {key: 1.0 for key in ("current", "input") if key in point}
         told = {law.signals[key]: value for key, value in point.items() if key in law.signals}
         w = np.array([told.get("w", 0.0)])
-        row, out = np.zeros((1, 4)), np.zeros((1, COUNT + 1))
+        row, out = np.zeros((1, 4)), np.zeros((1, compiled.COUNT + 1))
         row[0, : len(law.row)] = [point[key] for key in law.row]
         signals = [told.get(key, 0.0) for key in SLOTS]
-        evaluate(law.code, *signals, row, 0, told.get("width", 1.0), w, out)
+        compiled.evaluate(law.code, *signals, row, 0, told.get("width", 1.0), w, out)
 
         def values(at, law=law):
             return np.ravel(law.law(**at | ({"w": [at["w"]]} if law.feels_inputs else {})))
@@ -103,7 +102,7 @@ def test_slopes_are_those_of_the_formula(name):
             elif law.signals[key] in SLOTS:
                 slots = SLOTS[law.signals[key]]
             elif law.signals[key] == "w":
-                slots = (COUNT,)
+                slots = (compiled.COUNT,)
             else:
                 continue
             slope = (

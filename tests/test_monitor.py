@@ -24,7 +24,7 @@ from scipy.stats import binom, chi2, poisson
 
 import rcorefine as rco
 import rcorefine.streaming.monitor.monitor as watching
-from rcorefine.streaming.monitor.learning import crossing_rate, threshold
+from rcorefine.streaming.monitor import learning
 from rcorefine.streaming.monitor.saving import content_of
 from rcorefine.streaming.monitor.stream import Stream
 from rcorefine.streaming.persistence import write_file
@@ -119,18 +119,18 @@ def test_crossing_rate_is_that_of_a_sampled_ornstein_uhlenbeck_process(keep, lev
     z[:, 1:] = lfilter([1.0], [1.0, -keep], e, axis=1, zi=keep * start)[0]
     quiet = np.mean(np.abs(z).max(axis=1) < level)
     # stationary start: the first sample alone may lie above
-    predicted = np.exp(-crossing_rate(level, keep) * N)
+    predicted = np.exp(-learning.crossing_rate(level, keep) * N)
     assert abs(quiet - predicted) < 4 * np.sqrt(predicted * (1 - predicted) / paths) + 0.12 * (1 - predicted)
 
 
 def test_thresholds_share_out_the_stated_rate():
     keep = 1 - 1 / np.array([10.0, 100.0, 1000.0])
-    levels = threshold(1e-6, keep, 32)
-    assert sum(32 * crossing_rate(b, g) for b, g in zip(levels, keep, strict=True)) == pytest.approx(
+    levels = learning.threshold(1e-6, keep, 32)
+    assert sum(32 * learning.crossing_rate(b, g) for b, g in zip(levels, keep, strict=True)) == pytest.approx(
         1e-6, rel=1e-3
     )
     assert (np.diff(levels) < 0).all()
-    assert (threshold(1e-8, keep, 32) > levels).all()
+    assert (learning.threshold(1e-8, keep, 32) > levels).all()
 
 
 # --------------------------------------------------------------------- what it says

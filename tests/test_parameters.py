@@ -14,8 +14,8 @@ from scipy.signal import cont2discrete, dlsim
 from scipy.stats import binom, chi2, norm
 
 import rcorefine as rco
+from rcorefine.diagnosis import words
 from rcorefine.diagnosis.nuisances import with_fitting_priors
-from rcorefine.diagnosis.words import determined, numbers_that_moved
 
 M, C, K = (1.0, 0.6), (0.4, 0.3), (120.0, 90.0)  # two masses on the ground and on each other
 FACTORS = {"m2": 0.97, "k1": 1.03, "k2": 0.98, "c1": 1.04}
@@ -128,7 +128,7 @@ def test_every_parameter_of_a_plain_model_is_estimated() -> None:
     names = {row.name for row in found.parameters}
     assert names >= {"m[q1]", "m[q2]", "k[q1]", "c[q1]", "gain[u[0]]"}
     assert found.floated is not None
-    quotient = {row.name: row for row in determined(found.floated)}["k[q1] / m[q1]"]
+    quotient = {row.name: row for row in words.determined(found.floated)}["k[q1] / m[q1]"]
     assert abs(quotient.value - 1.12) < 4 * quotient.std < 0.02
     single = next(row for row in found.parameters if row.name == "k[q1]")
     assert single.std / single.initial > 0.01  # it may be off as a whole with all the others
@@ -253,9 +253,9 @@ def test_numbers_that_moved_far_may_stand_in_for_a_law():
     def row(value, std):
         return rco.EstimatedParameter("k", "stiffness", "q1", 100.0, value, value - 100.0, std, "", "linear")
 
-    assert "stand in" not in numbers_that_moved([row(125.0, 1.0)])
-    assert "stand in" not in numbers_that_moved([row(140.0, 5.0)])  # 40 +- 15 %: not for certain
-    assert "The change of k is so large" in numbers_that_moved([row(40.0, 3.0)])
+    assert "stand in" not in words.numbers_that_moved([row(125.0, 1.0)])
+    assert "stand in" not in words.numbers_that_moved([row(140.0, 5.0)])  # 40 +- 15 %: not for certain
+    assert "The change of k is so large" in words.numbers_that_moved([row(40.0, 3.0)])
 
 
 def test_the_table_shows_what_was_known_before_the_record():

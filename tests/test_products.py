@@ -7,7 +7,7 @@ from inner import KINDS, Engine, Structure, as_physical, nonlinear_system
 from scipy.integrate import solve_ivp
 
 import rcorefine as rco
-from rcorefine.diagnosis.case import candidates_of, not_tried
+from rcorefine.diagnosis import case
 
 A, B = np.array([[-0.4, 0.1], [0.3, -0.5]]), np.array([[0.6, 0.0], [0.0, 0.5]])
 STORES = ct.ss(A, B, np.eye(2), 0, states=["h1", "h2"], inputs=["q1", "q2"], outputs=["y1", "y2"])
@@ -124,8 +124,8 @@ def test_a_network_does_not_flood(rng):
 def test_what_is_not_tried_is_said(model, rng):
     inputs, outputs = rng.normal(size=(model.ninputs, 9)), rng.normal(size=(model.noutputs, 9))
     physical, data = as_physical(model), rco.Measurement(dt=0.1, inputs=inputs, outputs=outputs)
-    tried = candidates_of(physical)
-    said = not_tried(physical, tried, [data]).removeprefix("Not tried: ").partition(". ")[0].split(", ")
+    tried = case.candidates_of(physical)
+    said = case.not_tried(physical, tried, [data]).removeprefix("Not tried: ").partition(". ")[0].split(", ")
     every = [kind for kind, law in KINDS.items() if not (law.needs_law or law.is_parameter)]
     fitting = {kind for kind, _ in kinds(model, kinds=every)} - {effect.kind for effect in tried}
     # a power is no effect of an input that changes its sign; a differenced speed is asked for beside these

@@ -6,16 +6,16 @@ import warnings
 import pytest
 
 import rcorefine as rco
-from rcorefine.exceptions import unheard, warn
+from rcorefine import exceptions
 
 
 def nested() -> None:
-    with unheard(rco.IdentifiabilityWarning):
-        warn("hidden", rco.IdentifiabilityWarning)
-        warn("other", rco.ConversionWarning)
-        with unheard():
-            warn("hidden", rco.ConversionWarning)
-        warn("other", rco.RCOWarning)
+    with exceptions.unheard(rco.IdentifiabilityWarning):
+        exceptions.warn("hidden", rco.IdentifiabilityWarning)
+        exceptions.warn("other", rco.ConversionWarning)
+        with exceptions.unheard():
+            exceptions.warn("hidden", rco.ConversionWarning)
+        exceptions.warn("other", rco.RCOWarning)
 
 
 def test_categories_and_nesting():
@@ -24,7 +24,7 @@ def test_categories_and_nesting():
     assert [str(one.message) for one in heard] == ["other", "other"]
     assert heard[0].filename == __file__  # where it was called, not where it stands
     with pytest.warns(rco.IdentifiabilityWarning, match="again"):
-        warn("again", rco.IdentifiabilityWarning)
+        exceptions.warn("again", rco.IdentifiabilityWarning)
 
 
 def test_another_thread_is_heard_and_filters_stay():
@@ -32,17 +32,17 @@ def test_another_thread_is_heard_and_filters_stay():
     before, first, second = list(warnings.filters), threading.Event(), threading.Event()
 
     def quiet() -> None:
-        with unheard():
+        with exceptions.unheard():
             first.set()
             second.wait(10)
-            warn("hidden", rco.RCOWarning)
+            exceptions.warn("hidden", rco.RCOWarning)
 
     thread = threading.Thread(target=quiet)
     thread.start()
     first.wait(10)
     with pytest.warns(rco.RCOWarning, match="said"):
-        warn("said", rco.RCOWarning)
-    with unheard():
+        exceptions.warn("said", rco.RCOWarning)
+    with exceptions.unheard():
         second.set()
         thread.join()
     assert list(warnings.filters) == before
