@@ -8,6 +8,7 @@ import warnings
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from inner import Engine, Structure
 from scipy.linalg import expm
 
@@ -121,7 +122,7 @@ def test_derivatives_are_those_of_the_simulation(hold):
         np.testing.assert_allclose(slopes[:, :, i], numeric, atol=0.02 * np.abs(numeric).max())
 
 
-@pytest.mark.parametrize(("whose", "slow"), [("outputs", 0.0012), ("inputs", -0.002)])
+@pytest.mark.parametrize(("whose", "slow"), [("outputs", 0.0012), *slow(("inputs", -0.002))])
 def test_clocks_that_run_apart_are_named(whose, slow):
     data = record(3, n=3000, **{whose: slow})
     assert starts.growing_lags(Structure(MODEL), [data])[0] == pytest.approx(

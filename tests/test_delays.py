@@ -5,7 +5,7 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
-from cases import sweep
+from cases import slow, sweep
 from inner import Engine, Problem, Structure
 from scipy.signal import cont2discrete, lfilter
 
@@ -129,7 +129,7 @@ def test_a_delay_gains_nothing_by_what_it_hides():
     np.testing.assert_allclose(costs, 200.0, rtol=1e-6)
 
 
-@pytest.mark.parametrize("late", [3, 30])
+@pytest.mark.parametrize("late", [30, *slow(3)])
 def test_a_dead_time_of_one_path_is_found_under_both_names(rng, late):
     """Through one input and one output of a linear plant it acts alike at either end."""
     n, before, tau = 240, 200, 12.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import statsmodels.api as sm
+from cases import sweep
 from scipy import stats
 from statsmodels.stats.meta_analysis import combine_effects
 
@@ -52,8 +53,9 @@ def test_a_machine_against_the_others_is_a_studentized_residual(rng):
     np.testing.assert_allclose(p_values, 2 * stats.t.sf(np.abs(away), 6), rtol=1e-5)
 
 
-@pytest.mark.parametrize("count", [4, 6, 12, 40])
-@pytest.mark.parametrize("spread", [0.0, 1.0, 30.0])
+@pytest.mark.parametrize(
+    ("spread", "count"), sweep([(0.0, 4), (30.0, 6), (1.0, 12)], (0.0, 1.0, 30.0), (4, 6, 12, 40))
+)
 def test_nobody_stands_out_in_a_normal_fleet(rng, count, spread):
     """The rate of fleets in which any does, at 5 %, stays below its bound (99.9 %)."""
     runs, hits = 600, 0

@@ -5,6 +5,7 @@ import pickle
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from inner import NUMBA, Engine, Problem, Structure
 from scipy.integrate import solve_ivp
 
@@ -161,7 +162,7 @@ def test_compare_and_the_untold_outputs():
     assert rco.simulate(states, both, "zero").outputs.shape == (2, 300)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, *slow(1)])
 def test_diagnose_names_friction_at_the_pivot(seed):
     data = record(seed=seed, n=700, coulomb=0.05, noise=0.02)
     friction = ["coulomb_friction", "damping", "cubic_damping", "quadratic_damping", "stiffness"]

@@ -193,6 +193,7 @@ def test_a_single_spring_keeps_its_name() -> None:
     assert found.parameters == ()
 
 
+@pytest.mark.slow  # a parameters-only improvement by default: test_weights.py
 def test_improve_fits_the_numbers_and_adds_no_law() -> None:
     ladder = rco.improve(BUILT, record(5, n=2000, **FACTORS))
     assert [step.action for step in ladder.steps] == ["start", "parameters"]

@@ -32,7 +32,7 @@ def friction_record(seed, width, *, samples=1500, noise=0.02):
 
 
 @pytest.mark.filterwarnings("ignore::rcorefine.IdentifiabilityWarning")
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, *slow(4)])
 def test_static_friction_is_never_below_the_moving_one(seed):
     """A force that rises with speed asks for the opposite of Stribeck's law: it ends as plain friction."""
     model, data, _ = friction_record(seed, 0.6)
@@ -98,7 +98,7 @@ def test_no_row_is_below_the_model_without_it(servo):
     assert all(row.fit_after >= row.fit_before - 0.05 for row in found.ranking)
 
 
-@pytest.mark.parametrize("seed", [7, 8])
+@pytest.mark.parametrize("seed", [7, *slow(8)])
 def test_a_sensor_in_other_units_is_named(seed):
     """x 1000 behind free initial states: the states that the wrong unit bent held its gain at zero."""
     rng = np.random.default_rng([seed, 84])

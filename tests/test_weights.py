@@ -3,7 +3,7 @@
 import control as ct
 import numpy as np
 import pytest
-from cases import slow
+from cases import few_or_all, offered, slow
 from inner import Engine, Structure
 
 import rcorefine as rco
@@ -202,9 +202,10 @@ def test_a_monitor_names_the_resistance_that_grew():
     assert monitor.ranking[0].coefficients["value"] == pytest.approx(-0.003, rel=0.1)
 
 
-def test_an_improvement_by_numbers_alone_is_taken_on():
+@pytest.mark.parametrize("kinds", few_or_all("coefficient", "input_gain", "output_gain"))
+def test_an_improvement_by_numbers_alone_is_taken_on(kinds):
     record = record_of(battery(0.055, 0.018, 0.03), n=1500)
-    found = rco.improve(battery(), record)
+    found = rco.improve(battery(), record, candidates=offered(battery(), kinds))
     assert not found.effects
     assert len(found.steps) == 2
     assert found.to_dict()["next_step"].startswith("better = found.refinement")
