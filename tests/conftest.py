@@ -81,10 +81,17 @@ def rng(request: pytest.FixtureRequest) -> np.random.Generator:
     return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
 
 
-#: s of a test that is not marked slow. A run lists longer ones at its end; on a loaded machine none fails.
+#: s of a test that is neither slow nor a notebook. A run lists longer ones; on a loaded machine none fails.
 MOST = 8.0
 #: Files that take longest: they begin first, so that all workers end together.
-LONGEST = ("tests/test_monitor.py",)
+LONGEST = tuple(
+    f"tests/test_{name}.py"
+    for name in (
+        "monitor", "notebooks", "docs", "coursework", "localization", "ladder_steps", "diagnosis", "survey",
+        "rco_default", "error_shares", "several_records", "parameters", "diagnosis_of_responses", "explorer",
+        "improve",
+    )
+)  # fmt: skip
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -138,15 +145,15 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     total: Counter[str] = Counter()
     files: Counter[str] = Counter()
     tests: Counter[str] = Counter()
-    slow = set()
+    marked = set()
     for reports in terminalreporter.stats.values():
         for report in reports:
             if not isinstance(report, pytest.TestReport):
                 continue
             tests[report.nodeid] += report.duration
             files[report.nodeid.split("::")[0]] += report.duration
-            if "slow" in report.keywords:
-                slow.add(report.nodeid)
+            if {"slow", "notebook"} & set(report.keywords):
+                marked.add(report.nodeid)
             for key, value in report.user_properties:
                 if key == "tally" and report.when == "teardown":
                     total.update(value)
@@ -158,8 +165,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.section("time of the longest files; LONGEST of tests/conftest.py in this order")
         for file, seconds in files.most_common(len(LONGEST)):
             terminalreporter.line(f"{seconds:7.1f} s {file}")
-    over = [(name, seconds) for name, seconds in tests.most_common() if seconds > MOST and name not in slow]
+    over = [(name, seconds) for name, seconds in tests.most_common() if seconds > MOST and name not in marked]
     if over:
-        terminalreporter.section(f"tests of more than {MOST:g} s that are not marked slow")
+        terminalreporter.section(f"tests of more than {MOST:g} s that are not marked")
         for name, seconds in over:
             terminalreporter.line(f"{seconds:7.1f} s {name}")
