@@ -81,6 +81,36 @@ def rng(request: pytest.FixtureRequest) -> np.random.Generator:
     return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
 
 
+#: s of a test that is neither slow nor a notebook. A run lists longer ones; on a loaded machine none fails.
+MOST = 8.0
+#: Files that take longest: they begin first, so that all workers end together.
+LONGEST = tuple(
+    f"tests/test_{name}.py"
+    for name in (
+        "monitor", "notebooks", "docs", "coursework", "localization", "ladder_steps", "diagnosis", "survey",
+        "rco_default", "error_shares", "several_records", "parameters", "diagnosis_of_responses", "explorer",
+        "improve",
+    )
+)  # fmt: skip
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object | None:
+    """Distribute whole files, the longest first; xdist has those of most tests first."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class LongestFirst(LoadFileScheduling):
+        def _assign_work_unit(self, node: object) -> None:
+            known = [file for file in LONGEST if file in self.workqueue]
+            if known:
+                self.workqueue.move_to_end(known[0], last=False)
+            super()._assign_work_unit(node)
+
+    return LongestFirst(config, log)
+
+
 # attacks: few cases, or by -m attack a hundred times as many
 ATTACKS = Path(__file__).resolve().parent / "attack"
 
@@ -113,12 +143,30 @@ def tally(request: pytest.FixtureRequest) -> Iterator[Tally]:
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     total: Counter[str] = Counter()
+    files: Counter[str] = Counter()
+    tests: Counter[str] = Counter()
+    marked = set()
     for reports in terminalreporter.stats.values():
         for report in reports:
-            for key, value in getattr(report, "user_properties", ()):
-                if key == "tally" and getattr(report, "when", "") == "teardown":
+            if not isinstance(report, pytest.TestReport):
+                continue
+            tests[report.nodeid] += report.duration
+            files[report.nodeid.split("::")[0]] += report.duration
+            if {"slow", "notebook"} & set(report.keywords):
+                marked.add(report.nodeid)
+            for key, value in report.user_properties:
+                if key == "tally" and report.when == "teardown":
                     total.update(value)
     if total:
         terminalreporter.section("attacks")
         for kind in sorted(total):
             terminalreporter.line(f"{kind}: {total[kind]}")
+    if sum(files.values()) > 60.0:
+        terminalreporter.section("time of the longest files; LONGEST of tests/conftest.py in this order")
+        for file, seconds in files.most_common(len(LONGEST)):
+            terminalreporter.line(f"{seconds:7.1f} s {file}")
+    over = [(name, seconds) for name, seconds in tests.most_common() if seconds > MOST and name not in marked]
+    if over:
+        terminalreporter.section(f"tests of more than {MOST:g} s that are not marked")
+        for name, seconds in over:
+            terminalreporter.line(f"{seconds:7.1f} s {name}")

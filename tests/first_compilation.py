@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from inner import NUMBA
 
 import rcorefine as rco
-from rcorefine.jit import NUMBA
 
 LONGEST = 300.0  # s that a worker waits for the first one
 

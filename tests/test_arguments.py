@@ -9,14 +9,12 @@ from types import SimpleNamespace
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Structure, main
 from test_report import code_of
 
 import rcorefine as rco
-from rcorefine.commands.cli import main
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
 from rcorefine.exceptions import own_arithmetic
-from rcorefine.views.code import comment, effects_code
+from rcorefine.views import code as listing
 
 
 def motor(friction=0.02, **options):
@@ -172,10 +170,10 @@ def test_blas_has_one_thread_while_anybody_computes(monkeypatch):
 @pytest.mark.parametrize("end", ["\n", "\r", "\r\n", "\x0c", "\u2028"])
 def test_a_line_break_in_a_name_begins_no_line_of_code(end, tmp_path, monkeypatch):
     code = f"a{end}raise SystemError('live')  #"
-    exec(compile(comment(code), "comment", "exec"), {})
-    assert len(comment(code).splitlines()) == 1
+    exec(compile(listing.comment(code), "comment", "exec"), {})
+    assert len(listing.comment(code).splitlines()) == 1
     effect = rco.Effect("custom", "link1", law=lambda d, v: d, name=code)
-    listed = effects_code([effect]).replace("...", "0")
+    listed = listing.effects_code([effect]).replace("...", "0")
     exec(compile(listed, "effects", "exec"), {})
     if end == "\n":
         monkeypatch.chdir(tmp_path)

@@ -1,12 +1,9 @@
 """A trial point of a descent whose model is no number costs infinitely much; it does not end the descent."""
 
 import numpy as np
+from inner import ResponseEngine, Structure, as_physical, ordered_record
 
 import rcorefine as rco
-from rcorefine.engine.amplitude_response import ResponseEngine
-from rcorefine.engine.structure import Structure
-from rcorefine.models.conversion import as_physical
-from rcorefine.models.operating_point import ordered_record
 
 MODEL = rco.mass_spring_damper(1.0, 0.4, 100.0)
 STRUCTURE = Structure(as_physical(MODEL), [rco.Effect("stiffness", "link1")])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from inner import Rows, gauss_newton, promised
 
-from rcorefine.gauss_newton import Bordered, Rows, gauss_newton, promised
+from rcorefine.gauss_newton import Bordered
 
 
 def records(rng, p=3, n=2, rows=(20, 30, 25)):

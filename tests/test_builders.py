@@ -8,18 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from rcorefine.exceptions import ModelError
-from rcorefine.models.builders import (
-    dc_motor,
-    mass_spring_damper,
-    mechanical,
-    quarter_car,
-    series_rlc,
-    thermal_network,
-    two_tanks,
-)
-from rcorefine.models.library import effect_library
-from rcorefine.models.physical_model import PhysicalModel
+import rcorefine as rco
 
 OMEGA = np.geomspace(1e-2, 1e3, 25)
 S = 1j * OMEGA
@@ -64,7 +53,7 @@ def with_parameter(model, name, change):
 
 # ---------------------------------------------------------------- each parameter, through its place
 def chain_of(p):
-    return mass_spring_damper(
+    return rco.mass_spring_damper(
         [p["m1"], p["m2"], p["m3"]],
         [p["c1"], p["c2"], p["c3"], p["c4"]],
         [p["k1"], p["k2"], p["k3"], p["k4"]],
@@ -74,7 +63,7 @@ def chain_of(p):
 
 
 def shaken_of(p):
-    return mass_spring_damper(
+    return rco.mass_spring_damper(
         [p["m1"], p["m2"]],
         [p["c1"], p["c2"]],
         [p["k1"], p["k2"]],
@@ -86,11 +75,11 @@ def shaken_of(p):
 def general_of(p):
     K = [[p["k1"] + p["k12"], -p["k12"]], [-p["k12"], p["k12"] + p["k2"]]]
     C = [[p["c1"] + p["c12"], -p["c12"]], [-p["c12"], p["c12"] + p["c2"]]]
-    return mechanical([p["m1"], p["m2"]], C, K, sensors=["acceleration", "velocity"])
+    return rco.mechanical([p["m1"], p["m2"]], C, K, sensors=["acceleration", "velocity"])
 
 
 def car_of(p):
-    return quarter_car(
+    return rco.quarter_car(
         p["body_mass"],
         p["wheel_mass"],
         p["suspension_stiffness"],
@@ -103,7 +92,7 @@ def car_of(p):
 
 
 def raised_of(p):
-    return quarter_car(
+    return rco.quarter_car(
         p["body_mass"],
         p["wheel_mass"],
         p["suspension_stiffness"],
@@ -130,7 +119,7 @@ CASES = {
          "k12": "k[mass1-mass2]", "k2": "k[mass2]"},
     ),
     "rlc": (
-        lambda p: series_rlc(
+        lambda p: rco.series_rlc(
             p["R"], p["L"], 1 / p["1/C"],
             sensors=["current", "charge", "resistor_voltage", "capacitor_voltage", "inductor_voltage"],
         ),
@@ -138,7 +127,7 @@ CASES = {
         {},
     ),
     "motor": (
-        lambda p: dc_motor(
+        lambda p: rco.dc_motor(
             R=p["R"], L=p["L"], Kt=0.1, J=p["J"], b=p["b"], load_torque=True,
             sensors=["speed", "angle", "current"],
         ),
@@ -146,12 +135,12 @@ CASES = {
         {},
     ),
     "speed": (
-        lambda p: dc_motor(gain=1 / p["1/gain"], time_constant=p["tau/gain"] / p["1/gain"]),
+        lambda p: rco.dc_motor(gain=1 / p["1/gain"], time_constant=p["tau/gain"] / p["1/gain"]),
         {"1/gain": 0.5, "tau/gain": 0.2},
         {},
     ),
     "thermal": (
-        lambda p: thermal_network(
+        lambda p: rco.thermal_network(
             [p["C1"], p["C2"], p["C3"]], {(1, 2): 1 / p["G12"], (2, 3): 1 / p["G23"], (3, 0): 1 / p["G3"]},
             heat=[1, 2],
         ),
@@ -160,7 +149,7 @@ CASES = {
          "G3": "1/R[T3-ambient]"},
     ),
     "tanks": (
-        lambda p: two_tanks([p["A1"], p["A2"]], [p["k1"], p["k2"]], pump_gain=3.0, sensors=[1, 2]),
+        lambda p: rco.two_tanks([p["A1"], p["A2"]], [p["k1"], p["k2"]], pump_gain=3.0, sensors=[1, 2]),
         {"A1": 2.0, "A2": 1.0, "k1": 0.5, "k2": 0.25},
         {},
     ),
@@ -194,7 +183,7 @@ def test_pickle_text_and_library_of_each(case):
     assert max(map(len, str(model).splitlines())) <= 80
     assert all(unit for unit in model.state_units + model.input_units + model.output_units)
     assert all(port.force_unit and port.velocity_unit and port.description for port in model.ports)
-    for effect in effect_library(model):
+    for effect in rco.effect_library(model):
         model.check(effect)
         for coefficient in effect.coefficients:
             assert model.unit(effect, coefficient), (effect, coefficient)
@@ -204,13 +193,13 @@ def test_pickle_text_and_library_of_each(case):
 def spring(m=2.0, c=0.7, k=30.0):
     G = 1 / (m * S**2 + c * S + k)
     sensors = ["displacement", "velocity", "acceleration"]
-    return mass_spring_damper(m, c, k, sensors=sensors), [[G], [S * G], [S**2 * G]]
+    return rco.mass_spring_damper(m, c, k, sensors=sensors), [[G], [S * G], [S**2 * G]]
 
 
 def rotor():
     """Gyroscopic coupling of two directions."""
     C, K = np.array([[0, 3.0], [-3.0, 0]]), np.diag([4.0, 9.0])
-    model = mechanical(np.eye(2), C, K, force_map=2, sensors=("displacement", 1))
+    model = rco.mechanical(np.eye(2), C, K, force_map=2, sensors=("displacement", 1))
     return model, [[-3 * S / ((S**2 + 4) * (S**2 + 9) + 9 * S**2)]]
 
 
@@ -218,7 +207,7 @@ def divider(R=250.0, L=55e-3, C=23.5e-6):
     names = ["resistor_voltage", "inductor_voltage", "capacitor_voltage", "current", "charge"]
     Z = R + L * S + 1 / (C * S)
     gains = [R / Z, L * S / Z, 1 / (C * S) / Z, 1 / Z, 1 / Z / S]
-    return series_rlc(R, L, C, sensors=names), [[gain] for gain in gains]
+    return rco.series_rlc(R, L, C, sensors=names), [[gain] for gain in gains]
 
 
 def motor(R=1.5, L=0.02, Kt=0.1, Ke=0.12, J=0.01, b=0.003):
@@ -226,17 +215,17 @@ def motor(R=1.5, L=0.02, Kt=0.1, Ke=0.12, J=0.01, b=0.003):
     D = (L * S + R) * (J * S + b) + Kt * Ke
     turned, held = Kt / D, -(L * S + R) / D
     expected = [[turned / S, held / S], [turned, held], [(J * S + b) / D, Ke / D]]
-    return dc_motor(**parts, load_torque=True, sensors=sensors), expected
+    return rco.dc_motor(**parts, load_torque=True, sensors=sensors), expected
 
 
 def cascade(A1=2.0, A2=1.0, k1=0.5, k2=0.25, gain=3.0):
-    model = two_tanks((A1, A2), (k1, k2), pump_gain=gain)
+    model = rco.two_tanks((A1, A2), (k1, k2), pump_gain=gain)
     return model, [[gain * k1 / ((A1 * S + k1) * (A2 * S + k2))]]
 
 
 def cooling():
     """Relative to constant surroundings."""
-    return thermal_network(4.0, {(1, 0): 0.5}, ambient_input=False), [[1 / (4 * S + 2)]]
+    return rco.thermal_network(4.0, {(1, 0): 0.5}, ambient_input=False), [[1 / (4 * S + 2)]]
 
 
 @pytest.mark.parametrize(
@@ -254,7 +243,7 @@ def test_closed_form(case, rtol, atol):
 # ---------------------------------------------------------------- chains
 class TestChain:
     def test_matrices_of_the_paper(self):
-        model = mass_spring_damper(
+        model = rco.mass_spring_damper(
             [0.8, 0.5], [100, 200, 120], [1000, 25000, 25000], sensors=("velocity", 1), outputs="y"
         )
         M = np.diag([0.8, 0.5])
@@ -267,7 +256,7 @@ class TestChain:
 
     def test_transmissibility_closed_form(self):
         m, c, k = 200.0, 15000.0, 63500.0
-        model = mass_spring_damper(m, c, k, excitation="base", sensors="acceleration")
+        model = rco.mass_spring_damper(m, c, k, excitation="base", sensors="acceleration")
         np.testing.assert_allclose(response(model)[0, 0], (c * S + k) / (m * S**2 + c * S + k), rtol=1e-10)
         np.testing.assert_allclose(model.system.B, [[0], [-1]])
         np.testing.assert_allclose(model.system.D, [[0]], atol=1e-15)
@@ -276,7 +265,7 @@ class TestChain:
         n = 5
         m, c = rng.uniform(1, 3, n), rng.uniform(0.1, 1, n + 1)
         k = rng.uniform(10, 90, n)  # n springs, n+1 dampers: the end has a damper only
-        model = mass_spring_damper(m, c, k, force=[2, 4], sensors="displacement")
+        model = rco.mass_spring_damper(m, c, k, force=[2, 4], sensors="displacement")
 
         def energy_hessian(values):  # of V = 1/2 sum k_i (q_i - q_(i-1))^2, by the definition
             def V(q):
@@ -295,7 +284,7 @@ class TestChain:
 
     def test_base_excitation_in_absolute_coordinates(self):
         m, c, k = np.array([1.0, 2.0]), np.array([0.3, 0.2]), np.array([40.0, 60.0])
-        model = mass_spring_damper(
+        model = rco.mass_spring_damper(
             m, c, k, excitation="base", force=2, sensors=["acceleration", ("displacement", 2)]
         )
         # absolute z with z0 the base: M z'' + C z' + K z = (c1 z0' + k1 z0) e1
@@ -311,7 +300,7 @@ class TestChain:
             np.testing.assert_allclose(G[:2, 1], s**2 * Z[:, 1], rtol=1e-8, err_msg=str(i))
 
     def test_sensors_in_order_with_labels(self):
-        model = mass_spring_damper(
+        model = rco.mass_spring_damper(
             [1, 1, 1], [1, 1, 1], [1, 1, 1], sensors=[("velocity", 1), ("acceleration", 3)]
         )
         assert model.linear.output_labels == ("v1", "a3")
@@ -319,17 +308,17 @@ class TestChain:
         np.testing.assert_array_equal(model.output_rate, [[0] * 6, [0, 0, 0, 0, 0, 1]])
 
     def test_force_map(self):
-        model = mass_spring_damper([1, 2], [1, 1], [1, 1], force=np.array([[1.0], [-3.0]]))
+        model = rco.mass_spring_damper([1, 2], [1, 1], [1, 1], force=np.array([[1.0], [-3.0]]))
         np.testing.assert_allclose(model.system.B, [[0], [0], [1], [-1.5]])
 
 
 # ---------------------------------------------------------------- general matrices
 class TestMechanical:
     def test_agrees_with_the_chain(self):
-        chain = mass_spring_damper([1, 2, 3], [0.1, 0.2, 0.3], [10, 20, 30], sensors=("velocity", 3))
+        chain = rco.mass_spring_damper([1, 2, 3], [0.1, 0.2, 0.3], [10, 20, 30], sensors=("velocity", 3))
         K = [[30, -20, 0], [-20, 50, -30], [0, -30, 30.0]]
         C = 0.01 * np.array(K)
-        model = mechanical([1, 2, 3], C, K, sensors=("velocity", 3))
+        model = rco.mechanical([1, 2, 3], C, K, sensors=("velocity", 3))
         np.testing.assert_allclose(response(model), response(chain), rtol=1e-10)
         assert [port.name for port in model.ports][:2] == ["mass1-mass2", "mass2-mass3"]
 
@@ -338,7 +327,9 @@ class TestMechanical:
         Q = rng.normal(size=(4, 4))
         M, K = Q @ Q.T + 4 * np.eye(4), np.diag([5.0, 6, 7, 8])
         g = rng.normal(size=4)
-        model = mechanical(M, K=K, links={"brace": g, "strut": (1, 4), "foot": (2, 0)}, damping_ratio=0.01)
+        model = rco.mechanical(
+            M, K=K, links={"brace": g, "strut": (1, 4), "foot": (2, 0)}, damping_ratio=0.01
+        )
         for name, direction in (("brace", g), ("strut", np.array([1.0, 0, 0, -1]))):
             port = model.port(name)
             changed = model.linear.A + 3.0 * np.outer(port.act, port.position)
@@ -350,7 +341,7 @@ class TestMechanical:
         Q = rng.normal(size=(5, 5))
         M, K = np.diag(rng.uniform(1, 2, 5)), Q @ Q.T + np.eye(5)
         ratios = np.array([0.01, 0.02, 0.03, 0.04, 0.05])
-        poles = np.linalg.eigvals(mechanical(M, K=K, damping_ratio=ratios).system.A)
+        poles = np.linalg.eigvals(rco.mechanical(M, K=K, damping_ratio=ratios).system.A)
         poles = poles[poles.imag > 0]
         poles = poles[np.argsort(np.abs(poles))]
         np.testing.assert_allclose(np.abs(poles), np.sqrt(eigh(K, M, eigvals_only=True)), rtol=1e-9)
@@ -360,19 +351,19 @@ class TestMechanical:
 # ---------------------------------------------------------------- circuits, motors, heat, tanks, car
 class TestElectrical:
     def test_stiff_start_of_the_paper(self):
-        model = series_rlc(250.0, 2e-6, 1.0)
+        model = rco.series_rlc(250.0, 2e-6, 1.0)
         np.testing.assert_allclose(model.system.A, [[0, 1], [-5e5, -1.25e8]])
         np.testing.assert_allclose(model.system.C, [[0, 250]])
 
 
 class TestMotor:
     def test_speed_model(self):
-        model = dc_motor(gain=35.0, time_constant=0.28)
+        model = rco.dc_motor(gain=35.0, time_constant=0.28)
         np.testing.assert_allclose(response(model)[0, 0], 35 / (0.28 * S + 1), rtol=1e-12)
         assert model.port("shaft").force_unit == "V"
 
     def test_reversed_motor_is_still_braked_by_friction(self):
-        port = dc_motor(gain=-35.0, time_constant=0.28).port("shaft")
+        port = rco.dc_motor(gain=-35.0, time_constant=0.28).port("shaft")
         assert port.act[0] < 0 < port.velocity[0]
 
 
@@ -380,7 +371,7 @@ class TestThermal:
     def test_nodal_admittances(self):
         C = np.array([10.0, 20.0, 5.0])
         R12, R23, R30, R10 = 0.5, 2.0, 4.0, 8.0
-        model = thermal_network(C, {(1, 2): R12, (3, 2): R23, (3, 0): R30, (0, 1): R10}, heat=[1, 3])
+        model = rco.thermal_network(C, {(1, 2): R12, (3, 2): R23, (3, 0): R30, (0, 1): R10}, heat=[1, 3])
         G = np.diag([1 / R12 + 1 / R10, 1 / R12 + 1 / R23, 1 / R23 + 1 / R30])
         G[0, 1] = G[1, 0] = -1 / R12
         G[1, 2] = G[2, 1] = -1 / R23
@@ -389,7 +380,7 @@ class TestThermal:
         np.testing.assert_allclose(response(model), expected, rtol=1e-9)
 
     def test_steady_state_follows_the_surroundings(self):
-        model = thermal_network([1.0, 2.0], {(1, 2): 1.0, (2, 0): 1.0}, states=["room", "wall"])
+        model = rco.thermal_network([1.0, 2.0], {(1, 2): 1.0, (2, 0): 1.0}, states=["room", "wall"])
         np.testing.assert_allclose(ct.dcgain(model.system)[:, 1], [1, 1])
         assert [port.name for port in model.ports] == ["room", "wall", "room-wall", "wall-ambient"]
 
@@ -397,7 +388,7 @@ class TestThermal:
 class TestTanks:
     def test_flow_between_conserves_volume(self):
         areas = np.array([2.0, 5.0])
-        model = two_tanks(areas, (1.0, 1.0))
+        model = rco.two_tanks(areas, (1.0, 1.0))
         assert areas @ model.port("tank1->tank2").act == pytest.approx(0.0)
         assert areas @ model.port("tank1").act == pytest.approx(-1.0)
 
@@ -407,7 +398,7 @@ class TestCar:
         mb, mw, ks, cs, kt, cd = 250.0, 35.0, 16e3, 1e3, 160e3, 80.0
         sensors = ["body_velocity", "wheel_velocity", "suspension_deflection", "tire_deflection",
                    "body_acceleration"]  # fmt: skip
-        model = quarter_car(mb, mw, ks, cs, kt, cd, actuator=True, sensors=sensors)
+        model = rco.quarter_car(mb, mw, ks, cs, kt, cd, actuator=True, sensors=sensors)
         for i, w in enumerate(OMEGA):
             s = 1j * w
             M = np.array(
@@ -421,8 +412,10 @@ class TestCar:
             )
 
     def test_height_of_the_road_as_input(self):
-        velocity = quarter_car(250.0, 35.0, 16e3, 1e3, 160e3, sensors="body_acceleration")
-        height = quarter_car(250.0, 35.0, 16e3, 1e3, 160e3, sensors="body_acceleration", road="displacement")
+        velocity = rco.quarter_car(250.0, 35.0, 16e3, 1e3, 160e3, sensors="body_acceleration")
+        height = rco.quarter_car(
+            250.0, 35.0, 16e3, 1e3, 160e3, sensors="body_acceleration", road="displacement"
+        )
         np.testing.assert_allclose(
             response(height)[0, 0], response(velocity)[0, 0] * 1j * OMEGA, rtol=1e-7, atol=1e-9
         )
@@ -432,7 +425,7 @@ class TestCar:
 # ---------------------------------------------------------------- what is wrong is said
 TWO, TWICE = ([1, 2], [1, 1], [1, 1]), np.eye(2)
 WRONG = {
-    mass_spring_damper: [
+    rco.mass_spring_damper: [
         (([1, -2], [1, 1], [1, 1]), {}, r"m\[1\] = -2 must be positive"),
         (([1, 2], [1, 1], [1, -1]), {}, r"k\[1\] = -1 must not be negative"),
         (([1, 2], [1, np.nan], [1, 1]), {}, r"c\[1\]"),
@@ -453,7 +446,7 @@ WRONG = {
         (TWO, {"excitation": "road"}, "'force', 'base'"),
         (TWO, {"stiffness": 3}, "unexpected keyword"),
     ],
-    mechanical: [
+    rco.mechanical: [
         (([[1, 2], [2, 1]],), {"K": TWICE}, "positive definite"),
         (([[1, 2], [0, 1]],), {"K": TWICE}, "M is not symmetric"),
         (([1, 1],), {"K": [[1, -1], [0, 1]]}, "K is not symmetric"),
@@ -467,11 +460,11 @@ WRONG = {
         (([1, 1],), {"K": TWICE, "force_map": np.ones((3, 1))}, "3 rows for 2"),
         (([1, 1],), {"K": TWICE, "force_map": np.zeros((2, 1))}, "acts on no mass"),
     ],
-    series_rlc: [
+    rco.series_rlc: [
         ((1.0, 0.0, 1.0), {}, "L = 0 must be positive"),
         ((1.0, 1.0, 1.0), {"sensors": "power"}, "resistor_voltage"),
     ],
-    dc_motor: [
+    rco.dc_motor: [
         ((), {}, "R, L, Kt, J missing"),
         ((), {"gain": 2.0}, "both gain and time_constant"),
         ((), {"gain": 2.0, "time_constant": 1.0, "R": 1.0}, "not both"),
@@ -481,7 +474,7 @@ WRONG = {
         ((), {"gain": 2.0, "time_constant": 1.0, "load_torque": True}, "electromechanical"),
         ((), {"R": 1.0, "L": 1.0, "Kt": 1.0}, "J missing"),
     ],
-    thermal_network: [
+    rco.thermal_network: [
         (([1.0, 2.0], {(1, 3): 1.0}), {}, "= 3 does not exist"),
         (([1.0, 2.0], {(1, 1): 1.0}), {}, "joins a node to itself"),
         (([1.0, 2.0], {(1, 2): 1.0, (2, 1): 2.0}), {}, "joined already"),
@@ -491,8 +484,8 @@ WRONG = {
         (([1.0, 2.0], {(1, 2): 1.0}), {"sensors": [1, 1]}, "each once"),
         (([1.0], {(1, 0): 1.0}), {"states": ["ambient"]}, "named like the inputs"),
     ],
-    two_tanks: [(((1, 2, 3),), {}, "areas has 3 entries"), ((), {"sensors": 3}, "= 3 does not exist")],
-    quarter_car: [
+    rco.two_tanks: [(((1, 2, 3),), {}, "areas has 3 entries"), ((), {"sensors": 3}, "= 3 does not exist")],
+    rco.quarter_car: [
         ((250.0, 35.0, 16e3, 1e3, 160e3, 10.0), {"road": "displacement"}, "tire_damping needs"),
     ],
 }
@@ -503,14 +496,14 @@ WRONG = {
     [(build, *case) for build, cases in WRONG.items() for case in cases],
 )
 def test_what_is_wrong_is_said(build, arguments, keywords, message):
-    with pytest.raises((ModelError, ct.ControlDimension, ct.ControlArgument, TypeError), match=message):
+    with pytest.raises((rco.ModelError, ct.ControlDimension, ct.ControlArgument, TypeError), match=message):
         build(*arguments, **keywords)
 
 
 def test_ports_of_builders_agree_with_those_found():
     """What is read out of the matrices is what the builder put in."""
-    model = mass_spring_damper([1, 2], [0.1, 0.2, 0.3], [10, 20, 30], states=["x1", "x2", "v1", "v2"])
-    found = PhysicalModel.from_statespace(model.system)
+    model = rco.mass_spring_damper([1, 2], [0.1, 0.2, 0.3], [10, 20, 30], states=["x1", "x2", "v1", "v2"])
+    found = rco.PhysicalModel.from_statespace(model.system)
     for ours, theirs, sign in (("link1", "x1", 1), ("link3", "x2", 1), ("link2", "x1-x2", -1)):
         np.testing.assert_allclose(model.port(ours).act, sign * found.port(theirs).act)
         np.testing.assert_allclose(model.port(ours).position, sign * found.port(theirs).position)
@@ -518,7 +511,7 @@ def test_ports_of_builders_agree_with_those_found():
 
 
 def test_port_can_be_renamed():
-    model = series_rlc(1.0, 1.0, 1.0)
+    model = rco.series_rlc(1.0, 1.0, 1.0)
     renamed = replace(model, ports=(replace(model.ports[0], name="coil"),), parameters=())
     assert renamed.port("coil").kind == "mechanical"
 
@@ -528,22 +521,22 @@ class TestForceMap:
 
     def test_rows_in_lists_are_a_matrix(self):
         for F in ([[0.245]], ((0.245,),), np.array([[0.245]])):
-            model = mechanical([[2.0]], K=[[10.0]], force_map=F, inputs="volt", force_unit="N m")
+            model = rco.mechanical([[2.0]], K=[[10.0]], force_map=F, inputs="volt", force_unit="N m")
             assert model.system.B[1, 0] == 0.245 / 2.0
             assert model.input_units == ("",)
 
     def test_the_unit_of_a_force_is_known(self):
         for F in (1, [1, 2], np.eye(2), [[1, 0], [-1, 1]]):
-            model = mechanical([1.0, 1.0], K=np.eye(2), force_map=F, force_unit="N m")
+            model = rco.mechanical([1.0, 1.0], K=np.eye(2), force_map=F, force_unit="N m")
             assert set(model.input_units) == {"N m"}
-        mixed = mechanical([1.0, 1.0], K=np.eye(2), force_map=[[1.0, 0.3], [0.0, 1.0]])
+        mixed = rco.mechanical([1.0, 1.0], K=np.eye(2), force_map=[[1.0, 0.3], [0.0, 1.0]])
         assert mixed.input_units == ("N", "")
-        assert mass_spring_damper(1.0, 1.0, 1.0, force=[[0.5]]).input_units == ("",)
+        assert rco.mass_spring_damper(1.0, 1.0, 1.0, force=[[0.5]]).input_units == ("",)
 
     @pytest.mark.parametrize("F", [[0.245], 0.245, [3], [[1.0, 2.0]], [[0.0], [0.0]], [[1.0], [1.0, 2.0]]])
     def test_its_own_name_is_in_the_error(self, F):
-        wrong = (ModelError, ct.ControlArgument, ct.ControlDimension)
+        wrong = (rco.ModelError, ct.ControlArgument, ct.ControlDimension)
         with pytest.raises(wrong, match="force_map"):
-            mechanical([1.0, 1.0], K=np.eye(2), force_map=F)
+            rco.mechanical([1.0, 1.0], K=np.eye(2), force_map=F)
         with pytest.raises(wrong, match=r"\bforce\b"):
-            mass_spring_damper([1.0, 1.0], [1.0, 1.0], [1.0, 1.0], force=F)
+            rco.mass_spring_damper([1.0, 1.0], [1.0, 1.0], [1.0, 1.0], force=F)

@@ -9,10 +9,10 @@ import control as ct
 import numpy as np
 import pytest
 from hidden.wider import wider_record
+from inner import main
 from scipy.signal import butter, lfilter
 
 import rcorefine as rco
-from rcorefine.commands.cli import main
 from rcorefine.diagnosis.check_rows import warned
 
 DT, N = 0.02, 2000
@@ -133,7 +133,7 @@ def test_declared_units_are_certain_and_are_converted_in_one_line():
 
 
 def test_the_header_of_a_file_tells_its_unit(tmp_path):
-    from rcorefine.data.channels import read_record
+    from inner import read_record
 
     w, y = spun()
     rows = [f"{k * DT:.2f},{a:.6g},{b:.6g}" for k, (a, b) in enumerate(zip(w, y, strict=True))]

@@ -12,9 +12,9 @@ from pathlib import Path
 import matplotlib.image
 import numpy as np
 import pytest
+from inner import main
 
 import rcorefine as rco
-from rcorefine.commands.cli import main
 
 ROOT = Path(__file__).resolve().parent.parent
 DEMO_LIMIT = 60.0  # s, the promise of the README for two cores, first compilation included

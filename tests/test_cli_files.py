@@ -13,14 +13,13 @@ import control as ct
 import numpy as np
 import pytest
 import scipy.io
+from inner import example_csv, main, read_model, read_record
 
 import rcorefine as rco
 from rcorefine.commands.analysis import wanted_candidates
-from rcorefine.commands.cli import main
 from rcorefine.commands.example import EXAMPLES as NAMES
-from rcorefine.commands.example import example_csv, example_toml
-from rcorefine.data.channels import read_record
-from rcorefine.models.reading import builder_names, read_model
+from rcorefine.commands.example import example_toml
+from rcorefine.models.reading import builder_names
 
 ROOT = Path(__file__).resolve().parent.parent
 A, B, C = [[0.0, 1.0], [-100.0, -0.4]], [[0.0], [1.0]], [[1.0, 0.0]]

@@ -9,9 +9,7 @@ import re
 import control as ct
 import numpy as np
 import pytest
-
-from rcorefine.commands.cli import main
-from rcorefine.models.reading import read_model
+from inner import main, read_model
 
 MODEL = """\
 [mass_spring_damper]

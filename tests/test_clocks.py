@@ -8,12 +8,12 @@ import warnings
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
+from inner import Engine, Structure
 from scipy.linalg import expm
 
 import rcorefine as rco
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.inference.starts import common_lag, growing_lags
+from rcorefine.inference import starts
 
 A, B = np.array([[0.0, 1.0], [-380.0, -0.4]]), np.array([0.0, 1.0])
 MODEL = ct.ss(A, B[:, None], [[1.0, 0.0]], 0, states=["x", "v"], inputs="force", outputs="x")
@@ -122,10 +122,10 @@ def test_derivatives_are_those_of_the_simulation(hold):
         np.testing.assert_allclose(slopes[:, :, i], numeric, atol=0.02 * np.abs(numeric).max())
 
 
-@pytest.mark.parametrize(("whose", "slow"), [("outputs", 0.0012), ("inputs", -0.002)])
+@pytest.mark.parametrize(("whose", "slow"), [("outputs", 0.0012), *slow(("inputs", -0.002))])
 def test_clocks_that_run_apart_are_named(whose, slow):
     data = record(3, n=3000, **{whose: slow})
-    assert growing_lags(Structure(MODEL), [data])[0] == pytest.approx(
+    assert starts.growing_lags(Structure(MODEL), [data])[0] == pytest.approx(
         slow if whose == "outputs" else -slow, abs=5e-4
     )
     found = rco.diagnose(MODEL, data)
@@ -157,7 +157,7 @@ def test_the_common_lag_is_that_of_the_highest_correlation_coefficient(unit):
     shown = rco.Measurement(data.inputs, unit * late, dt=DT)
     count = late.size // 3
     alike = [abs(np.corrcoef(late[k:], free[: late.size - k])[0, 1]) for k in range(count)]
-    assert common_lag(Structure(MODEL), shown) == pytest.approx(DT * int(np.argmax(alike)))
+    assert starts.common_lag(Structure(MODEL), shown) == pytest.approx(DT * int(np.argmax(alike)))
 
 
 def test_a_motion_at_the_end_alone_has_no_drift_that_is_no_number():
@@ -167,4 +167,4 @@ def test_a_motion_at_the_end_alone_has_no_drift_that_is_no_number():
     data = rco.Measurement(force, np.random.default_rng(5).standard_normal(600), dt=DT)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert np.isfinite(growing_lags(Structure(MODEL), [data])).all()
+        assert np.isfinite(starts.growing_lags(Structure(MODEL), [data])).all()

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import rcorefine as rco
-from rcorefine import DataError, DivergenceError, ExcitationWarning, Measurement, compare
-from rcorefine.comparison import Comparison, fit_percent, root_mean_square
+from rcorefine import DataError, DivergenceError, ExcitationWarning, Measurement, compare, comparison
 
 DT = 0.05
 A = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-20, 10, -0.4, 0.2], [10, -10, 0.2, -0.2]])
@@ -51,15 +50,15 @@ def record(w, y, **options) -> Measurement:
 
 def test_fit_and_rmse_by_hand():
     y = [1.0, 2.0, 3.0, 4.0]
-    assert fit_percent(y, y) == 100
-    assert fit_percent(y, [2.5] * 4) == pytest.approx(0)
+    assert comparison.fit_percent(y, y) == 100
+    assert comparison.fit_percent(y, [2.5] * 4) == pytest.approx(0)
     # |y - yh| = 2, |y - mean| = sqrt(5)
-    assert fit_percent(y, [2, 3, 4, 5]) == pytest.approx(100 * (1 - 2 / np.sqrt(5)))
-    assert fit_percent(y, [4, 3, 2, 1]) == pytest.approx(-100)
-    assert np.isnan(fit_percent([1, 1, 1], [1, 1, 1]))
-    assert root_mean_square([1, 2, 2]) == pytest.approx(np.sqrt(3))
+    assert comparison.fit_percent(y, [2, 3, 4, 5]) == pytest.approx(100 * (1 - 2 / np.sqrt(5)))
+    assert comparison.fit_percent(y, [4, 3, 2, 1]) == pytest.approx(-100)
+    assert np.isnan(comparison.fit_percent([1, 1, 1], [1, 1, 1]))
+    assert comparison.root_mean_square([1, 2, 2]) == pytest.approx(np.sqrt(3))
     with pytest.raises(ct.ControlDimension, match="time comes last"):
-        fit_percent([1, 2, 3], [1, 2])
+        comparison.fit_percent([1, 2, 3], [1, 2])
 
 
 def test_figures_of_a_comparison_follow_their_definitions(w):
@@ -275,7 +274,7 @@ def test_nothing_is_changed(w):
 def test_result_survives_pickle_and_deepcopy(w):
     result = compare([chain(17.0), chain()], record(w, simulated(chain(), w)))
     for twin in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result)):
-        assert isinstance(twin, Comparison)
+        assert isinstance(twin, rco.Comparison)
         assert str(twin) == str(result)
         np.testing.assert_array_equal(twin.residual, result.residual)
         twin.plot()

@@ -5,12 +5,11 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from cases import slow, sweep
+from inner import Engine, Problem, Structure
 from scipy.signal import cont2discrete, lfilter
 
 import rcorefine as rco
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.inference.problem import Problem
 
 PLANTS = {
     "heater": (np.array([[-0.9]]), np.array([[0.5]]), np.array([[1.0]]), 0.08),
@@ -46,10 +45,21 @@ def estimate(refined):
     return row.value, row.std
 
 
-@pytest.mark.parametrize("before", [200, 0], ids=["in motion", "at rest"])
-@pytest.mark.parametrize("at_output", [False, True], ids=["input", "output"])
-@pytest.mark.parametrize(("plant", "samples"), [("heater", 6), ("tanks", 5), ("mass", 9)])
-def test_delay_is_found_and_then_nothing_is_missing(plant, samples, at_output, before):
+#: Delay of each plant in samples.
+SAMPLES = {"heater": 6, "tanks": 5, "mass": 9}
+
+
+@pytest.mark.parametrize(
+    ("plant", "at_output", "before"),
+    sweep(
+        [("heater", False, 200), ("tanks", True, 0), ("mass", True, 200), ("mass", False, 0)],
+        SAMPLES,
+        (False, True),
+        (200, 0),
+    ),
+)
+def test_delay_is_found_and_then_nothing_is_missing(plant, at_output, before):
+    samples = SAMPLES[plant]
     model, data, effect = delayed(3, plant, samples, at_output=at_output, before=before)
     refined = rco.refine(model, data, [effect])
     value, std = estimate(refined)
@@ -119,7 +129,7 @@ def test_a_delay_gains_nothing_by_what_it_hides():
     np.testing.assert_allclose(costs, 200.0, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("late", "tau"), [(3, 12.0), (30, 12.0), (0.55, 5.0)])
+@pytest.mark.parametrize(("late", "tau"), [(30, 12.0), (0.55, 5.0), *slow((3, 12.0))])
 def test_a_dead_time_of_one_path_is_found_under_both_names(rng, late, tau):
     """Through one input and one output of a linear plant it acts alike at either end."""
     n, before = 240, 200

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from hidden.generator import OUTSIDE, hidden_record
 from scipy import stats
 from scipy.signal import lfilter
@@ -118,17 +119,15 @@ def test_two_amplitudes_refute_a_law_that_only_mimics():
     assert found.verdict == "unexplained"
 
 
-def test_a_search_says_what_its_effort_left_out():
+@pytest.mark.parametrize("effort", [0.0, *slow(2.0)])
+def test_a_search_says_what_its_effort_left_out(effort):
     hidden = hidden_record(34, plant="quarter car", effect="coulomb_friction", loss=0.2, samples=1000)
     others = [e for e in hidden.candidates if "friction" not in e.kind and e.kind != "hysteresis"]
-    said = []
-    for effort in (0.0, 2.0):
-        found = rco.diagnose(hidden.plant.model, hidden.data, candidates=others, effort=effort)
-        assert found.verdict == "unexplained"
-        said.append([note for note in found.notes if "refits" in note])
-    (note,), nothing = said
-    assert re.search(r"refits. Not tried: .*; effort=1 goes on", note)
-    assert nothing == []
+    found = rco.diagnose(hidden.plant.model, hidden.data, candidates=others, effort=effort)
+    assert found.verdict == "unexplained"
+    said = [note for note in found.notes if "refits" in note]
+    assert len(said) == (effort == 0.0)
+    assert all(re.search(r"refits. Not tried: .*; effort=1 goes on", note) for note in said)
 
 
 @pytest.mark.parametrize(
@@ -154,19 +153,30 @@ def test_short_record_is_refused(nothing):
         rco.diagnose(hidden.plant.model, short, candidates=hidden.candidates)
 
 
-@pytest.mark.parametrize("kind", ["white", "ar", "resonant", "t3"])
-def test_no_alarm_where_nothing_is_missing(kind):
-    n = 6
-    verdicts = [diagnosed(900 + i, effect=None, noise_kind=kind, samples=700)[1].verdict for i in range(n)]
+NOISES = ("white", "ar", "resonant", "t3")
+BENCHES = ("chain", "motor", "quarter car", "RLC", "thermal")
+
+
+@pytest.mark.parametrize(
+    ("kinds", "n"), [(NOISES, 4), *slow((NOISES, 8), *(((kind,), 6) for kind in NOISES))]
+)
+def test_no_alarm_where_nothing_is_missing(kinds, n):
+    """One rate over all kinds of noise; each kind alone in the long run."""
+    verdicts = []
+    for i in range(n):
+        seed, kind = 900 + i // len(kinds), kinds[i % len(kinds)]
+        verdicts.append(diagnosed(seed, effect=None, noise_kind=kind, samples=700)[1].verdict)
     assert verdicts.count("adequate") >= least_of(n, 0.95)
 
 
-@pytest.mark.parametrize("plant", ["chain", "motor", "quarter car", "RLC", "thermal"])
-def test_hidden_effects_are_named(plant):
-    n = 3
+@pytest.mark.parametrize(
+    ("plants", "n"), [(BENCHES[:3], 3), *slow((BENCHES, 5), *(((plant,), 3) for plant in BENCHES))]
+)
+def test_hidden_effects_are_named(plants, n):
     right = wrong = 0
     for i in range(n):
-        hidden, found = diagnosed(950 + i, plant=plant, loss=0.2, samples=1000)
+        seed, plant = 950 + i // len(plants), plants[i % len(plants)]
+        hidden, found = diagnosed(seed, plant=plant, loss=0.2, samples=1000)
         truth = (hidden.kind, hidden.place)
         names = [(e.kind, e.place) for e in found.ambiguous]
         right += found.verdict != "unexplained" and truth in names

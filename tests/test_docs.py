@@ -7,9 +7,9 @@ import runpy
 from pathlib import Path
 
 import pytest
+from inner import main
 
 import rcorefine as rco
-from rcorefine.commands.cli import main
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"

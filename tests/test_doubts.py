@@ -7,6 +7,7 @@ import warnings
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from hidden.generator import Law, held_motion
 from scipy.signal import butter, sosfilt
 
@@ -89,7 +90,7 @@ def test_modes_above_it_under_a_held_force_are_only_warned_of():
     assert found.success == (abs(row.coefficient + 30) < 5 * row.std)
 
 
-@pytest.mark.parametrize("seed", [1, 8])
+@pytest.mark.parametrize("seed", [1, *slow(8)])
 def test_what_three_free_masses_leave_undetermined_is_named(seed):
     """Noise in proportion to positions that wander hides how the links move."""
 
@@ -154,7 +155,7 @@ def free_drive(seed):
     return model, rco.Measurement(w, noisy, dt=dt, input_labels=["torque"], output_labels=["motor", "load"])
 
 
-@pytest.mark.parametrize("seed", [1, 7])
+@pytest.mark.parametrize("seed", [1, *slow(7)])
 def test_a_law_whose_size_the_record_does_not_tell_is_not_named(seed):
     model, data = free_drive(seed)
     laws = [rco.Effect(kind, "thl") for kind in ("hidden_mode", "damping", "coulomb_friction")]

@@ -6,14 +6,9 @@ import pickle
 
 import control as ct
 import pytest
+from inner import KINDS
 
 import rcorefine as rco
-from rcorefine.effects.effect import Effect
-from rcorefine.effects.given import Table
-from rcorefine.effects.law import KINDS
-from rcorefine.exceptions import ModelError
-from rcorefine.models.builders import dc_motor, mass_spring_damper, series_rlc, thermal_network, two_tanks
-from rcorefine.models.library import describe_effects, effect_library
 from rcorefine.models.parameters import combine_units
 
 # what the design promises: kind -> (places, coefficients)
@@ -119,11 +114,14 @@ class TestKinds:
                 assert coefficient.lower <= coefficient.default_start <= coefficient.upper
 
     def test_bounds_of_physics(self):
-        assert Effect("input_delay", "u").bounds("delay") == (0.0, math.inf)
-        assert Effect("clearance", "link1").bounds("gap")[0] == 0.0
-        assert Effect("hidden_mode", "link1").bounds("mass")[0] == 0.0
-        assert Effect("output_rectification", "y").bounds("fraction") == (0.0, 1.0)
-        assert Effect("stiffness", "link1").bounds("stiffness") == (-math.inf, math.inf)  # damage is negative
+        assert rco.Effect("input_delay", "u").bounds("delay") == (0.0, math.inf)
+        assert rco.Effect("clearance", "link1").bounds("gap")[0] == 0.0
+        assert rco.Effect("hidden_mode", "link1").bounds("mass")[0] == 0.0
+        assert rco.Effect("output_rectification", "y").bounds("fraction") == (0.0, 1.0)
+        assert rco.Effect("stiffness", "link1").bounds("stiffness") == (
+            -math.inf,
+            math.inf,
+        )  # damage is negative
 
     def test_starts_that_must_be_found(self):
         nowhere = {
@@ -140,7 +138,7 @@ class TestKinds:
             ("stribeck_friction", "velocity"),
             ("output_rectification", "fraction"),
         }
-        assert Effect("stiffness", "a").start_of("stiffness") == 0.0
+        assert rco.Effect("stiffness", "a").start_of("stiffness") == 0.0
 
     def test_catalogue_cannot_be_changed_and_pickles(self):
         with pytest.raises(TypeError):
@@ -159,27 +157,27 @@ class TestKinds:
 
 class TestEffect:
     def test_label_and_explanation(self):
-        effect = Effect("coulomb_friction", "link2")
+        effect = rco.Effect("coulomb_friction", "link2")
         assert effect.label == str(effect) == "coulomb_friction at link2"
         assert "link2" in effect.explanation
         assert str([effect]) == "[Effect('coulomb_friction', 'link2')]"
-        assert Effect("damping", "a", name="new damper").label == "new damper"
+        assert rco.Effect("damping", "a", name="new damper").label == "new damper"
 
     def test_words_fit_the_kind_of_place(self):
-        model = two_tanks()
-        effect = model.check(Effect("damping", "tank1"))
+        model = rco.two_tanks()
+        effect = model.check(rco.Effect("damping", "tank1"))
         assert effect.label == "outflow in proportion at tank1"
-        assert effect == Effect("damping", "tank1")
+        assert effect == rco.Effect("damping", "tank1")
         assert pickle.loads(pickle.dumps(effect)).label == effect.label
         assert effect.replace(start={"damping": 1.0}).explanation == effect.explanation
 
     @pytest.mark.parametrize(
         "model",
         [
-            series_rlc(1.0, 0.1, 0.01),
-            dc_motor(R=1.0, L=0.01, Kt=0.1, J=0.01),
-            thermal_network([1e4, 2e4], {(1, 0): 0.01, (1, 2): 0.1}),
-            two_tanks(),
+            rco.series_rlc(1.0, 0.1, 0.01),
+            rco.dc_motor(R=1.0, L=0.01, Kt=0.1, J=0.01),
+            rco.thermal_network([1e4, 2e4], {(1, 0): 0.01, (1, 2): 0.1}),
+            rco.two_tanks(),
         ],
         ids=lambda model: model.name,
     )
@@ -187,28 +185,28 @@ class TestEffect:
         mechanical = (
             "damping friction stiffness spring mass force displacement speed joint motion shock".split()
         )
-        for effect in effect_library(model):
+        for effect in rco.effect_library(model):
             if effect.place not in ("shaft", *model.linear.input_labels, *model.linear.output_labels):
                 said = f"{effect.label} {effect.explanation}".replace("_", " ").lower().split()
                 assert not [word for word in mechanical if word in said], effect.label
 
     def test_equality_and_hash(self):
-        plain = Effect("clearance", "link1")
-        assert plain == Effect("clearance", "link1", start={"gap": 0.1}, prior={"gap": 0.1})
-        assert len({plain, Effect("clearance", "link1"), Effect("clearance", "link2")}) == 2
-        assert plain != Effect("clearance", "link1", fixed={"gap": 0.1})
+        plain = rco.Effect("clearance", "link1")
+        assert plain == rco.Effect("clearance", "link1", start={"gap": 0.1}, prior={"gap": 0.1})
+        assert len({plain, rco.Effect("clearance", "link1"), rco.Effect("clearance", "link2")}) == 2
+        assert plain != rco.Effect("clearance", "link1", fixed={"gap": 0.1})
         assert plain != "clearance"
 
     def test_fixed_coefficients_and_constants(self):
-        effect = Effect("stribeck_friction", "a", fixed={"velocity": 0.1, "width": 1e-3})
+        effect = rco.Effect("stribeck_friction", "a", fixed={"velocity": 0.1, "width": 1e-3})
         assert effect.coefficients == ("coulomb_force", "static_force", "velocity")
         assert effect.free == ("coulomb_force", "static_force")
         assert effect.constants == {"width": 1e-3}
         assert effect.start_of("velocity") == 0.1
-        assert Effect("coulomb_friction", "a").constants == {"width": None}
+        assert rco.Effect("coulomb_friction", "a").constants == {"width": None}
 
     def test_start_and_prior(self):
-        effect = Effect("damping", "a", start={"damping": 2}, prior={"damping": 0.5})
+        effect = rco.Effect("damping", "a", start={"damping": 2}, prior={"damping": 0.5})
         assert effect.start == {"damping": 2.0}
         assert effect.start_of("damping") == 2.0
         assert effect.prior == {"damping": 0.5}
@@ -216,20 +214,20 @@ class TestEffect:
         assert effect.start == {"damping": 2.0}
 
     def test_custom_laws(self):
-        assert Effect("custom", "a", law=square).coefficients == ("scale",)
-        effect = Effect("custom", "a", law=power, start={"a": 1.0, "b": 0.0})
+        assert rco.Effect("custom", "a", law=square).coefficients == ("scale",)
+        effect = rco.Effect("custom", "a", law=power, start={"a": 1.0, "b": 0.0})
         assert effect.coefficients == ("a", "b")
         assert effect.bounds("a") == (-math.inf, math.inf)
-        held = Effect("custom", "a", law=power, start={"a": 1.0, "b": 0.0}, fixed={"b": 2.0})
+        held = rco.Effect("custom", "a", law=power, start={"a": 1.0, "b": 0.0}, fixed={"b": 2.0})
         assert held.free == ("a",)
         assert held.start_of("b") == 2.0
         again = pickle.loads(pickle.dumps(effect))
         assert again == effect
         assert again.law is power
-        assert effect != Effect("custom", "a", law=square, start={"a": 1.0, "b": 0.0})
+        assert effect != rco.Effect("custom", "a", law=square, start={"a": 1.0, "b": 0.0})
 
     def test_immutable_and_copyable(self):
-        effect = Effect("damping", "a", start={"damping": 2.0})
+        effect = rco.Effect("damping", "a", start={"damping": 2.0})
         with pytest.raises(AttributeError, match="replace"):
             effect.place = "b"
         with pytest.raises(AttributeError):
@@ -241,8 +239,8 @@ class TestEffect:
         assert (moved.place, moved.start, effect.place) == ("b", {"damping": 2.0}, "a")
 
     def test_repr_makes_it_again(self):
-        effect = Effect("clearance", "a", start={"gap": 0.5}, fixed={"stiffness": 3.0}, name="stop")
-        again = eval(repr(effect), {"Effect": Effect})
+        effect = rco.Effect("clearance", "a", start={"gap": 0.5}, fixed={"stiffness": 3.0}, name="stop")
+        again = eval(repr(effect), {"Effect": rco.Effect})
         assert again == effect
         assert again.start == effect.start
 
@@ -272,12 +270,12 @@ class TestEffect:
         ],
     )
     def test_what_is_wrong_is_said(self, arguments, keywords, message):
-        with pytest.raises((ct.ControlArgument, ModelError), match=message):
-            Effect(*arguments, **keywords)
+        with pytest.raises((ct.ControlArgument, rco.ModelError), match=message):
+            rco.Effect(*arguments, **keywords)
 
     def test_unknown_keyword(self):
         with pytest.raises(TypeError):
-            Effect("damping", "a", value=3.0)
+            rco.Effect("damping", "a", value=3.0)
 
 
 class TestUnits:
@@ -298,29 +296,29 @@ class TestUnits:
     )
     def test_mechanical(self, kind, coefficient, unit):
         law = {"law": square} if kind == "custom" else {}
-        assert mass_spring_damper(1, 1, 1).unit(Effect(kind, "link1", **law), coefficient) == unit
+        assert rco.mass_spring_damper(1, 1, 1).unit(rco.Effect(kind, "link1", **law), coefficient) == unit
 
     def test_electrical_and_hydraulic(self):
-        circuit = series_rlc(1.0, 1.0, 1.0)
-        assert circuit.unit(Effect("damping", "resistor"), "damping") == "Ohm"
-        assert circuit.unit(Effect("mass", "inductor"), "mass") == "H"
-        assert circuit.unit(Effect("stiffness", "capacitor"), "stiffness") == "1/F"
-        tanks = two_tanks(level_unit="cm", flow_unit="cm^3/s")
-        assert tanks.unit(Effect("sqrt_flow", "tank1"), "flow") == "cm^2.5/s"
-        assert tanks.unit(Effect("threshold_flow", "tank1->tank2"), "threshold") == "cm"
+        circuit = rco.series_rlc(1.0, 1.0, 1.0)
+        assert circuit.unit(rco.Effect("damping", "resistor"), "damping") == "Ohm"
+        assert circuit.unit(rco.Effect("mass", "inductor"), "mass") == "H"
+        assert circuit.unit(rco.Effect("stiffness", "capacitor"), "stiffness") == "1/F"
+        tanks = rco.two_tanks(level_unit="cm", flow_unit="cm^3/s")
+        assert tanks.unit(rco.Effect("sqrt_flow", "tank1"), "flow") == "cm^2.5/s"
+        assert tanks.unit(rco.Effect("threshold_flow", "tank1->tank2"), "threshold") == "cm"
 
     def test_channels_and_entries(self):
-        model = mass_spring_damper(1, 1, 1)
-        assert model.unit(Effect("input_deadzone", "force"), "threshold") == "N"
-        assert model.unit(Effect("input_delay", "force"), "delay") == "s"
-        assert model.unit(Effect("output_gain", "q1"), "gain") == "1"
-        assert model.unit(Effect("coefficient", "A[v1,q1]"), "value") == "1/s^2"
+        model = rco.mass_spring_damper(1, 1, 1)
+        assert model.unit(rco.Effect("input_deadzone", "force"), "threshold") == "N"
+        assert model.unit(rco.Effect("input_delay", "force"), "delay") == "s"
+        assert model.unit(rco.Effect("output_gain", "q1"), "gain") == "1"
+        assert model.unit(rco.Effect("coefficient", "A[v1,q1]"), "value") == "1/s^2"
 
     def test_unknown_units_stay_unknown(self):
-        model = mass_spring_damper(1, 1, 1, position_unit="", force_unit="N")
-        assert model.unit(Effect("stiffness", "link1"), "stiffness") == ""
+        model = rco.mass_spring_damper(1, 1, 1, position_unit="", force_unit="N")
+        assert model.unit(rco.Effect("stiffness", "link1"), "stiffness") == ""
         with pytest.raises(ct.ControlArgument, match="no coefficient"):
-            model.unit(Effect("stiffness", "link1"), "damping")
+            model.unit(rco.Effect("stiffness", "link1"), "damping")
 
     @pytest.mark.parametrize(
         "rule, unit",
@@ -341,47 +339,46 @@ class TestUnits:
 
 class TestCheck:
     def test_places_of_a_model(self):
-        model = mass_spring_damper([1, 1], [1, 1], [1, 1])
+        model = rco.mass_spring_damper([1, 1], [1, 1], [1, 1])
         for effect in (
-            Effect("stiffness", "link2"),
-            Effect("input_lag", "force"),
-            Effect("output_gain", "q1"),
+            rco.Effect("stiffness", "link2"),
+            rco.Effect("input_lag", "force"),
+            rco.Effect("output_gain", "q1"),
         ):
             assert model.check(effect) == effect
-        assert model.check(Effect("coefficient", "A[2,0]"))
-        assert model.check(Effect("custom", "mass1", law=square))
+        assert model.check(rco.Effect("coefficient", "A[2,0]"))
+        assert model.check(rco.Effect("custom", "mass1", law=square))
 
     @pytest.mark.parametrize(
         "effect, message",
         [
-            (Effect("stiffness", "link9"), "its ports are: link1, link2"),
-            (Effect("stiffness", "force"), "no port 'force'"),
-            (Effect("input_gain", "q1"), "none of them: force"),
-            (Effect("output_gain", "force"), "none of them: q1, q2"),
-            (Effect("sqrt_flow", "link1"), "cannot sit at link1, a mechanical port"),
-            (Effect("coefficient", "A[9,9]"), "no entry of the model"),
+            (rco.Effect("stiffness", "link9"), "its ports are: link1, link2"),
+            (rco.Effect("stiffness", "force"), "no port 'force'"),
+            (rco.Effect("input_gain", "q1"), "none of them: force"),
+            (rco.Effect("output_gain", "force"), "none of them: q1, q2"),
+            (rco.Effect("sqrt_flow", "link1"), "cannot sit at link1, a mechanical port"),
+            (rco.Effect("coefficient", "A[9,9]"), "no entry of the model"),
         ],
     )
     def test_misplaced(self, effect, message):
-        with pytest.raises(ModelError, match=message):
-            mass_spring_damper([1, 1], [1, 1], [1, 1]).check(effect)
+        with pytest.raises(rco.ModelError, match=message):
+            rco.mass_spring_damper([1, 1], [1, 1], [1, 1]).check(effect)
 
     def test_no_displacement_no_stiffness(self):
-        from rcorefine.models.builders import dc_motor
 
-        with pytest.raises(ModelError, match="no position at shaft"):
-            dc_motor(gain=1.0, time_constant=1.0).check(Effect("stiffness", "shaft"))
-        with pytest.raises(ModelError, match="cannot sit at tank1, a first-order port"):
-            two_tanks().check(Effect("stiffness", "tank1"))
+        with pytest.raises(rco.ModelError, match="no position at shaft"):
+            rco.dc_motor(gain=1.0, time_constant=1.0).check(rco.Effect("stiffness", "shaft"))
+        with pytest.raises(rco.ModelError, match="cannot sit at tank1, a first-order port"):
+            rco.two_tanks().check(rco.Effect("stiffness", "tank1"))
         with pytest.raises(ct.ControlArgument, match="must be an Effect"):
-            two_tanks().check("damping at tank1")
+            rco.two_tanks().check("damping at tank1")
 
 
 def test_table_of_effects_fits_a_terminal():
-    curve = {"law": Table([0.0, 1.0], force=[0.0, 2.0])}
+    curve = {"law": rco.Table([0.0, 1.0], force=[0.0, 2.0])}
     given = {"custom": {"law": square}, "tabulated": curve, "input_curve": curve, "output_curve": curve}
-    effects = [Effect(name, "somewhere", **given.get(name, {})) for name in KINDS]
-    text = describe_effects(effects)
+    effects = [rco.Effect(name, "somewhere", **given.get(name, {})) for name in KINDS]
+    text = rco.describe_effects(effects)
     assert max(map(len, text.splitlines())) <= 80
     assert all(name in text and kind.formula[:40] in text for name, kind in KINDS.items())
 
@@ -407,7 +404,7 @@ def test_every_printed_name_is_accepted_and_means_one_kind():
 @pytest.mark.parametrize("wrong", ["stifness", "friction", "voltage drop of constants size"])
 def test_an_unknown_name_is_answered_with_the_nearest(wrong):
     with pytest.raises(ct.ControlArgument, match="near it: [a-z_]+") as told:
-        Effect(wrong, "link1")
+        rco.Effect(wrong, "link1")
     near = str(told.value).split("near it: ")[1].split(";")[0].split(", ")
     assert 1 <= len(near) <= 3
     assert set(near) <= set(KINDS)
@@ -419,8 +416,8 @@ def test_effects_by_their_names_are_candidates():
     from rcorefine.effects.effect import as_effects
 
     assert label == "series resistance at inductor"
-    assert as_effects(["damping@inductor", label], "candidates") == 2 * [Effect("damping", "inductor")]
-    assert Effect("damping", "inductor").key == "damping@inductor"
+    assert as_effects(["damping@inductor", label], "candidates") == 2 * [rco.Effect("damping", "inductor")]
+    assert rco.Effect("damping", "inductor").key == "damping@inductor"
     for text in ("damping", "@inductor", "damping at "):
         with pytest.raises(ct.ControlArgument, match="kind@place"):
             as_effects([text], "candidates")

@@ -7,14 +7,10 @@ import itertools
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Structure
 from scipy.integrate import solve_ivp
 
-from rcorefine.data.measurement import Measurement
-from rcorefine.effects.effect import Effect
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.simulation import simulate
-from rcorefine.engine.structure import Structure
-from rcorefine.exceptions import DivergenceError
+import rcorefine as rco
 
 M1, M2, C1, K1, K2 = 1.0, 0.7, 0.3, 40.0, 25.0
 DT = 0.05
@@ -40,7 +36,7 @@ def force(n=240, scale=10.0, seed=0):
 
 
 def record(w, hold="foh", ny=2):
-    return Measurement(w, np.zeros((ny, w.size)), dt=DT, hold=hold)
+    return rco.Measurement(w, np.zeros((ny, w.size)), dt=DT, hold=hold)
 
 
 def solve(rhs, x0, times):
@@ -115,7 +111,7 @@ def test_a_users_law_that_feels_an_input_is_of_fourth_order(hold):
         return model.A @ x + model.B[:, 0] * u(t) + act * 0.8 * (u(t) * d + 5.0 * d**3)
 
     truth = model.C @ solve(rates, np.zeros(4), times)
-    structure = Structure(model, [Effect("custom", "x1-x2", law=lambda d, v, w: w[0] * d + 5.0 * d**3)])
+    structure = Structure(model, [rco.Effect("custom", "x1-x2", law=lambda d, v, w: w[0] * d + 5.0 * d**3)])
     errors = [
         np.abs(run(structure, [0.8], record(w, hold), substeps).outputs - truth).max() / np.abs(truth).max()
         for substeps in (2, 4)
@@ -139,7 +135,7 @@ def test_mechanical_law_converges_to_solve_ivp(kind, place):
     times = np.arange(w.size) * DT
     x = solve(lambda t, x: model.A @ x + model.B[:, 0] * u(t) + act * law(*sense(x)), np.zeros(4), times)
     truth = model.C @ x
-    structure = Structure(model, [Effect(kind, place)], constants={0: WIDTH})
+    structure = Structure(model, [rco.Effect(kind, place)], constants={0: WIDTH})
     errors = [
         np.abs(run(structure, theta, record(w), substeps).outputs - truth).max() / np.abs(truth).max()
         for substeps in (4, 8, 16)
@@ -164,7 +160,7 @@ def test_mechanical_law_converges_to_solve_ivp(kind, place):
 def test_sensitivities_are_the_derivatives(kind):
     theta = np.array(law_cases()[kind][0])
     data = record(force(150), hold="zoh")
-    structure = Structure(chain(), [Effect(kind, "x1-x2")], constants={0: WIDTH})
+    structure = Structure(chain(), [rco.Effect(kind, "x1-x2")], constants={0: WIDTH})
     engine = Engine(structure, data, substeps=2)
     x0 = np.array([0.01, -0.02, 0.1, 0.0])
     exact = engine.run(theta, x0, initial_state=True).sensitivity
@@ -189,7 +185,7 @@ def test_hysteresis_follows_the_path():
         return np.append(linear, (v - abs(v) * x[4]) / delta)
 
     truth = model.C @ solve(rhs, np.zeros(5), times)[:4]
-    structure = Structure(model, [Effect("hysteresis", "x1-x2")])
+    structure = Structure(model, [rco.Effect("hysteresis", "x1-x2")])
     errors = [
         np.abs(run(structure, [F, delta], record(w), s).outputs - truth).max() / np.abs(truth).max()
         for s in (4, 16)
@@ -214,7 +210,7 @@ def test_lugre_friction_follows_its_equation(delta):
         return np.append(linear, v - bristles * abs(v) / level * x[4])
 
     truth = model.C @ solve(rhs, np.zeros(5), times)[:4]
-    structure = Structure(model, [Effect("lugre_friction", "x1-x2")])
+    structure = Structure(model, [rco.Effect("lugre_friction", "x1-x2")])
     theta = [F, ratio, slow, delta]
     errors = [
         np.abs(run(structure, theta, record(w), s).outputs - truth).max() / np.abs(truth).max()
@@ -245,7 +241,7 @@ def test_play_is_dragged_along():
         x = x + step * rate(t + 0.5 * step, half, z)
         z = dragged(x, z)
     truth = model.C @ np.array([*states, x]).T[:, ::200]
-    structure = Structure(model, [Effect("play", "x1-x2")])
+    structure = Structure(model, [rco.Effect("play", "x1-x2")])
     answer = run(structure, [k, gap], record(w), 32).outputs
     np.testing.assert_allclose(answer, truth, atol=2e-3 * np.abs(truth).max())
 
@@ -259,7 +255,7 @@ def test_mass_and_hidden_mode_are_exact():
     A[2] *= M1 / (M1 + extra)
     B[2] *= M1 / (M1 + extra)
     truth = model.C @ solve(lambda t, x: A @ x + B[:, 0] * u(t), np.zeros(4), times)
-    heavier = Structure(model, [Effect("mass", "x1")])
+    heavier = Structure(model, [rco.Effect("mass", "x1")])
     np.testing.assert_allclose(run(heavier, [extra], record(w, "zoh"), 1).outputs, truth, atol=1e-7)
 
     m, c, k = 0.1, 0.05, 3.0
@@ -270,7 +266,7 @@ def test_mass_and_hidden_mode_are_exact():
         return np.concatenate([linear, [x[5], f / m]])
 
     truth = model.C @ solve(rhs, np.zeros(6), times)[:4]
-    attached = Structure(model, [Effect("hidden_mode", "x1")])
+    attached = Structure(model, [rco.Effect("hidden_mode", "x1")])
     np.testing.assert_allclose(run(attached, [m, c, k], record(w, "zoh"), 1).outputs, truth, atol=1e-7)
 
 
@@ -285,7 +281,7 @@ def test_what_relaxes_is_exact():
         return np.append(linear, x[2] - x[4] / T)
 
     truth = model.C @ solve(rhs, np.zeros(5), times)[:4]
-    rubber = Structure(model, [Effect("maxwell_element", "x1")])
+    rubber = Structure(model, [rco.Effect("maxwell_element", "x1")])
     np.testing.assert_allclose(run(rubber, [k, T], record(w, "zoh"), 1).outputs, truth, atol=1e-7)
 
     tank = ct.ss([[-0.4]], [[1.0]], [[1.0]], 0, inputs="q", outputs="y", states=["T"])
@@ -295,7 +291,7 @@ def test_what_relaxes_is_exact():
         np.zeros(2),
         times,
     )[:1]
-    wall = Structure(tank, [Effect("hidden_store", "T")])
+    wall = Structure(tank, [rco.Effect("hidden_store", "T")])
     np.testing.assert_allclose(run(wall, [m, c], record(w, "zoh"), 1).outputs, truth, atol=1e-7)
 
 
@@ -311,7 +307,7 @@ def test_a_stop_stands_on_the_side_of_its_sign():
 
         free = model.C @ solve(lambda t, x: model.A @ x + model.B[:, 0] * u(t), np.zeros(4), times)
         truth = model.C @ solve(rhs, np.zeros(4), times)
-        answer = run(Structure(model, [Effect("end_stop", "x1")]), [k, at], record(w, "zoh"), 64).outputs
+        answer = run(Structure(model, [rco.Effect("end_stop", "x1")]), [k, at], record(w, "zoh"), 64).outputs
         assert np.abs(truth - free).max() > 0.1 * np.abs(free).max()  # it is hit
         np.testing.assert_allclose(answer, truth, atol=2e-3 * np.abs(truth).max())
 
@@ -321,7 +317,7 @@ def test_a_stop_stands_on_the_side_of_its_sign():
 def test_input_delay_to_a_fraction_of_a_sample(hold, delay):
     model, w = chain(), force(150)
     u = held(w, hold)
-    structure = Structure(model, [Effect("input_delay", "f")])
+    structure = Structure(model, [rco.Effect("input_delay", "f")])
     fine = np.unique(
         np.round(np.concatenate([np.arange(w.size) * DT, np.arange(w.size - 4) * DT + delay]), 12)
     )
@@ -346,7 +342,7 @@ def test_an_actuator_acts_by_a_power_of_its_command():
     u = held(np.sign(w) * 6.0 * np.abs(w / 6.0) ** 1.6, "zoh")
     times = np.arange(w.size) * DT
     truth = model.C @ solve(lambda t, x: model.A @ x + model.B[:, 0] * u(t), np.zeros(4), times)
-    answer = run(Structure(model, [Effect("input_power", "f")]), [1.6, 6.0], record(w, "zoh"), 1)
+    answer = run(Structure(model, [rco.Effect("input_power", "f")]), [1.6, 6.0], record(w, "zoh"), 1)
     np.testing.assert_allclose(answer.outputs, truth, atol=1e-6)
 
 
@@ -362,8 +358,8 @@ def test_a_magnet_pulls_by_its_current_over_its_distance():
         return A @ x + np.array([0.0, push + 0.2 * current**2 / (0.7 - x[0]) ** 2])
 
     truth = solve(rhs, np.zeros(2), times)[:1]
-    data = Measurement(w, np.zeros((1, 120)), dt=DT, hold="foh")
-    pull = Effect("magnetic_force", "x", fixed={"gap": 0.7, "current": 2})
+    data = rco.Measurement(w, np.zeros((1, 120)), dt=DT, hold="foh")
+    pull = rco.Effect("magnetic_force", "x", fixed={"gap": 0.7, "current": 2})
     answer = run(Structure(model, [pull]), [0.2], data, 16)
     np.testing.assert_allclose(answer.outputs, truth, atol=2e-3 * np.abs(truth).max())
 
@@ -378,7 +374,7 @@ def test_input_statics_and_their_derivatives():
     ):
         u = held(law(w), "zoh")
         truth = model.C @ solve(lambda t, x, u=u: model.A @ x + model.B[:, 0] * u(t), np.zeros(4), times)
-        structure = Structure(model, [Effect(kind, "f")])
+        structure = Structure(model, [rco.Effect(kind, "f")])
         engine = Engine(structure, record(w, "zoh"))
         answer = engine.run(np.array([level]))
         np.testing.assert_allclose(answer.outputs, truth, atol=1e-7)
@@ -407,7 +403,7 @@ def test_an_actuator_cannot_move_faster_than_a_rate(hold):
     acts = chased(w, rate, hold, fine)
     times = np.arange(acts.size) * DT / fine
     truth = ct.forced_response(model, times, acts).outputs[:, ::fine]
-    structure = Structure(model, [Effect("input_rate_limit", "f")])
+    structure = Structure(model, [rco.Effect("input_rate_limit", "f")])
     # of a held command the ramps are exact; what is left is how it turns within a substep
     engine = Engine(structure, record(w, hold), substeps=4 if hold == "zoh" else 16)
     answer = engine.run(np.array([rate]), x0=np.zeros(4))
@@ -430,7 +426,7 @@ def test_lags_gains_and_offsets_are_exact():
         return np.append(model.A @ x[:4] + model.B[:, 0] * x[4], (1.2 * u(t) + 0.7 - x[4]) / lag)
 
     truth = model.C @ solve(rhs, np.zeros(5), times)[:4]
-    effects = [Effect("input_lag", "f"), Effect("input_gain", "f"), Effect("input_offset", "f")]
+    effects = [rco.Effect("input_lag", "f"), rco.Effect("input_gain", "f"), rco.Effect("input_offset", "f")]
     answer = run(Structure(model, effects), [lag, 0.2, 0.7], record(w, "zoh"), 1)
     np.testing.assert_allclose(answer.outputs, truth, atol=1e-7)
 
@@ -439,7 +435,11 @@ def test_lags_gains_and_offsets_are_exact():
         return np.append(model.A @ x[:4] + model.B[:, 0] * u(t), (y - x[4]) / lag)
 
     x = solve(sensor, np.zeros(5), times)
-    effects = [Effect("output_lag", "v1"), Effect("output_gain", "v1"), Effect("output_offset", "x1")]
+    effects = [
+        rco.Effect("output_lag", "v1"),
+        rco.Effect("output_gain", "v1"),
+        rco.Effect("output_offset", "x1"),
+    ]
     answer = run(Structure(model, effects), [lag, -0.1, 2.0], record(w, "zoh"), 1)
     np.testing.assert_allclose(answer.outputs[0], 0.9 * x[4], atol=1e-7)
     np.testing.assert_allclose(answer.outputs[1], x[0] + 2.0, atol=1e-7)
@@ -451,9 +451,9 @@ def test_sensor_statics_and_delay():
     times = np.arange(w.size) * DT
     x = solve(lambda t, x: model.A @ x + model.B[:, 0] * u(t), np.zeros(4), times)
     y = model.C @ x
-    clip = run(Structure(model, [Effect("output_saturation", "v1")]), [0.8], record(w), 1)
+    clip = run(Structure(model, [rco.Effect("output_saturation", "v1")]), [0.8], record(w), 1)
     np.testing.assert_allclose(clip.outputs[0], np.clip(y[0], -0.8, 0.8), atol=1e-7)
-    bridge = run(Structure(model, [Effect("output_rectification", "x1")]), [0.9], record(w), 1)
+    bridge = run(Structure(model, [rco.Effect("output_rectification", "x1")]), [0.9], record(w), 1)
     np.testing.assert_allclose(bridge.outputs[1], 0.1 * y[1] + 0.9 * np.abs(y[1]), atol=1e-7)
     late = 1.4 * DT
     shifted = solve(
@@ -463,7 +463,7 @@ def test_sensor_statics_and_delay():
     )
     fine = np.unique(np.round(np.concatenate([times, times[2:] - late]), 12))
     truth = model.C @ shifted[:, np.searchsorted(fine, times[2:] - late - 1e-9)]
-    answer = run(Structure(model, [Effect("output_delay", "x1")]), [late], record(w), 1)
+    answer = run(Structure(model, [rco.Effect("output_delay", "x1")]), [late], record(w), 1)
     np.testing.assert_allclose(answer.outputs[1, 2:], truth[1], atol=2e-3 * np.abs(truth[1]).max())
 
 
@@ -472,8 +472,8 @@ def test_moving_average_against_finer_integration():
     model = chain()
     rng = np.random.default_rng(3)
     w = np.repeat(rng.uniform(-1, 1, 30), 10)
-    structure, window = Structure(model, [Effect("output_average", "x1")]), 3.4 * DT
-    fine = Measurement(np.repeat(w, 50), np.zeros((2, 50 * w.size)), dt=DT / 50)
+    structure, window = Structure(model, [rco.Effect("output_average", "x1")]), 3.4 * DT
+    fine = rco.Measurement(np.repeat(w, 50), np.zeros((2, 50 * w.size)), dt=DT / 50)
     y = run(Structure(model, []), [], fine, 1).outputs[1]
     area = np.concatenate([[0.0], np.cumsum((y[1:] + y[:-1]) / 2)])
     k = np.arange(w.size) * 50
@@ -506,7 +506,7 @@ def test_first_order_laws():
     ):
         truth = solve(lambda t, x, law=law: -0.1 * x + u(t) - law(x[0]), [2.0], times)
         constants = {0: 1e-5 if kind == "sqrt_flow" else WIDTH}
-        structure = Structure(model, [Effect(kind, "level")], constants=constants)
+        structure = Structure(model, [rco.Effect(kind, "level")], constants=constants)
         answer = run(structure, theta, record(w, "zoh", 1), 8, x0=np.array([2.0]))
         np.testing.assert_allclose(answer.outputs, truth, atol=2e-4 * np.abs(truth).max(), err_msg=kind)
 
@@ -518,13 +518,13 @@ def test_coefficient_of_A_and_custom_law():
     A = model.A.copy()
     A[3, 0] += 4.0
     truth = model.C @ solve(lambda t, x: A @ x + model.B[:, 0] * u(t), np.zeros(4), times)
-    answer = run(Structure(model, [Effect("coefficient", "A[v2,x1]")]), [4.0], record(w), 1)
+    answer = run(Structure(model, [rco.Effect("coefficient", "A[v2,x1]")]), [4.0], record(w), 1)
     np.testing.assert_allclose(answer.outputs, truth, atol=1e-7)
 
     def law(d, v, a, b):
         return a * np.sin(d) + b * v * v * v
 
-    own = Structure(model, [Effect("custom", "x1", law=law, start={"a": 5.0, "b": 0.1})])
+    own = Structure(model, [rco.Effect("custom", "x1", law=law, start={"a": 5.0, "b": 0.1})])
     x = solve(
         lambda t, x: model.A @ x + model.B[:, 0] * u(t) + PORTS["x1"][1] * law(x[0], x[2], 5.0, 0.1),
         np.zeros(4),
@@ -547,7 +547,7 @@ def test_accelerometer_feels_the_force():
     law = lambda d, v: 30 * d**3  # noqa: E731
     x = solve(lambda t, x: A @ x + B[:, 0] * u(t) + PORTS["x1"][1] * law(x[0], x[2]), np.zeros(4), times)
     truth = A[2] @ x + w / M1 - law(x[0], x[2]) / M1
-    answer = run(Structure(model, [Effect("cubic_stiffness", "x1")]), [30.0], record(w, ny=1), 16)
+    answer = run(Structure(model, [rco.Effect("cubic_stiffness", "x1")]), [30.0], record(w, ny=1), 16)
     np.testing.assert_allclose(answer.outputs[0], truth, atol=2e-3 * np.abs(truth).max())
 
 
@@ -562,7 +562,7 @@ def test_two_ports_at_once():
         return model.A @ x + model.B[:, 0] * u(t) + PORTS["x1"][1] * f1 + PORTS["x1-x2"][1] * f2
 
     truth = model.C @ solve(rhs, np.zeros(4), times)
-    effects = [Effect("coulomb_friction", "x1"), Effect("cubic_stiffness", "x1-x2")]
+    effects = [rco.Effect("coulomb_friction", "x1"), rco.Effect("cubic_stiffness", "x1-x2")]
     structure = Structure(model, effects, constants={0: WIDTH})
     answer = run(structure, [1.0, 30.0], record(w), 16)
     np.testing.assert_allclose(answer.outputs, truth, atol=2e-3 * np.abs(truth).max())
@@ -572,7 +572,7 @@ def test_stiff_pole_and_singular_matrix_are_exact():
     R, L, C = 250.0, 2e-6, 1.0
     stiff = ct.ss([[0, 1], [-1 / (L * C), -R / L]], [[0], [1 / L]], [[0, R]], 0, states=["q", "i"])
     w = np.random.default_rng(1).standard_normal(50)
-    data = Measurement(w, np.zeros(50), dt=1e-4)
+    data = rco.Measurement(w, np.zeros(50), dt=1e-4)
     s1, s2 = np.roots([L, R, 1 / C])  # q = a / (s - s1) - a / (s - s2), each exact under a hold
     s2 = 1 / (L * C * s1)  # the slow root, without cancellation
     a, modes, exact = 1 / (L * (s1 - s2)), np.zeros(2), []
@@ -580,10 +580,10 @@ def test_stiff_pole_and_singular_matrix_are_exact():
         exact.append(a * (modes[0] - modes[1]))
         for i, pole in enumerate((s1, s2)):
             modes[i] = np.exp(pole * 1e-4) * modes[i] + np.expm1(pole * 1e-4) / pole * value
-    answer = simulate(stiff, data, "zero")
+    answer = rco.simulate(stiff, data, "zero")
     np.testing.assert_allclose(answer.states[0], exact, rtol=1e-7, atol=1e-9 * np.abs(exact).max())
     double = ct.ss([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], 0)
-    answer = simulate(double, Measurement(np.ones(20), np.zeros(20), dt=0.5), "zero")
+    answer = rco.simulate(double, rco.Measurement(np.ones(20), np.zeros(20), dt=0.5), "zero")
     np.testing.assert_allclose(answer.outputs[0], 0.5 * (0.5 * np.arange(20)) ** 2, rtol=1e-12)
 
 
@@ -594,7 +594,7 @@ def test_band_limited_hold_follows_a_sine():
     ramp = np.minimum(np.arange(n) / 200, 1.0)
     w = np.sin(omega * np.arange(n) * DT) * ramp**2
     steady = abs(model(1j * omega)[1, 0])
-    answer = simulate(model, record(w, "bandlimited"), "zero").outputs[1, 400:560]
+    answer = rco.simulate(model, record(w, "bandlimited"), "zero").outputs[1, 400:560]
     free = np.column_stack(
         [np.sin(omega * np.arange(400, 560) * DT), np.cos(omega * np.arange(400, 560) * DT)]
     )
@@ -605,9 +605,9 @@ def test_band_limited_hold_follows_a_sine():
 
 def test_observer_pulls_towards_the_record_and_windows_let_go():
     model, w = chain(), force(300)
-    truth = simulate(model, record(w), "zero")
-    wrong = Structure(model, [Effect("stiffness", "x1")])
-    data = Measurement(w, truth.outputs, dt=DT, hold="foh")
+    truth = rco.simulate(model, record(w), "zero")
+    wrong = Structure(model, [rco.Effect("stiffness", "x1")])
+    data = rco.Measurement(w, truth.outputs, dt=DT, hold="foh")
     engine = Engine(wrong, data)
     theta = np.array([8.0])
     from rcorefine.engine.observer import observer_gain
@@ -622,6 +622,6 @@ def test_observer_pulls_towards_the_record_and_windows_let_go():
 
 def test_divergence_says_when():
     unstable = ct.ss([[5.0]], [[1.0]], [[1.0]], 0)
-    data = Measurement(np.ones(400), np.zeros(400), dt=1.0)
-    with pytest.raises(DivergenceError, match="sample"):
-        simulate(unstable, data, "zero")
+    data = rco.Measurement(np.ones(400), np.zeros(400), dt=1.0)
+    with pytest.raises(rco.DivergenceError, match="sample"):
+        rco.simulate(unstable, data, "zero")

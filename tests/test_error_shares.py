@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import rcorefine as rco
-from rcorefine.diagnosis.error_shares import error_shares_of, matter
+from rcorefine.diagnosis import error_shares
 
 
 def test_shares_of_white_noise_and_of_a_slow_error(rng):
@@ -16,24 +16,24 @@ def test_shares_of_white_noise_and_of_a_slow_error(rng):
     spread = np.sqrt(0.5)
     noise = 0.01 * spread * rng.standard_normal((1, n))
     slow = 0.003 * np.sqrt(2.0) * spread * np.sin(0.011 * np.arange(n))[None]
-    (share,) = error_shares_of(["y"], [noise + slow], [y], np.array([0.01 * spread]), 0.0)
+    (share,) = error_shares.error_shares_of(["y"], [noise + slow], [y], np.array([0.01 * spread]), 0.0)
     assert share.share == pytest.approx(np.hypot(0.01, 0.003), rel=0.02)
     assert share.model == pytest.approx(0.003, rel=0.15)
     assert share.step == 0.0
-    assert matter([share], 0.002)
-    assert not matter([share], 0.01)
+    assert error_shares.matter([share], 0.002)
+    assert not error_shares.matter([share], 0.01)
     # white to its own past, but found by the tests: 9 % of the power
-    (share,) = error_shares_of(["y"], [noise], [y], np.array([noise.std()]), 0.09)
+    (share,) = error_shares.error_shares_of(["y"], [noise], [y], np.array([noise.std()]), 0.09)
     assert share.model == pytest.approx(0.003, rel=0.02)
 
 
 def test_an_error_below_the_step_of_the_sensor_does_not_matter():
     t = np.arange(4000)
     y = np.round(np.sin(0.05 * t) / 0.1)[None] * 0.1
-    (share,) = error_shares_of(["y"], [0.02 * np.sin(0.01 * t)[None]], [y], np.zeros(1), 0.0)
+    (share,) = error_shares.error_shares_of(["y"], [0.02 * np.sin(0.01 * t)[None]], [y], np.zeros(1), 0.0)
     assert share.step == pytest.approx(0.1 / y.std(), rel=1e-6)
     assert share.model > 0.01
-    assert not matter([share], 0.01)
+    assert not error_shares.matter([share], 0.01)
 
 
 MODEL = ct.ss(

@@ -5,10 +5,10 @@ import pickle
 import control as ct
 import numpy as np
 import pytest
+from inner import LinearModel, bode_error, to_discrete
 
+import rcorefine as rco
 from rcorefine import examples
-from rcorefine.exceptions import DataError, ModelError
-from rcorefine.systems import LinearModel, bode_error, to_discrete
 
 ALL = [examples.rlc, examples.one_dof, examples.two_dof]
 
@@ -142,13 +142,13 @@ def test_examples_pickle_and_print(make):
 def test_bad_arguments_are_named():
     with pytest.raises(ct.ControlArgument, match="'canonical'"):
         examples.rlc(form="canonical")
-    with pytest.raises(ModelError, match="positive"):
+    with pytest.raises(rco.ModelError, match="positive"):
         examples.two_dof(dt=0)
-    with pytest.raises(DataError, match="n_samples"):
+    with pytest.raises(rco.DataError, match="n_samples"):
         examples.rlc().record(1)
-    with pytest.raises(DataError, match="noise"):
+    with pytest.raises(rco.DataError, match="noise"):
         examples.rlc().record(10, noise=-0.1)
-    with pytest.raises(DataError, match="amplitude"):
+    with pytest.raises(rco.DataError, match="amplitude"):
         examples.rlc().record(10, amplitude=0.0)
     with pytest.raises(ct.ControlArgument, match="'truth'"):
         examples.rlc().simulate([0.0, 1.0], model="truth")
@@ -160,11 +160,11 @@ def test_bad_arguments_are_named():
 
 def test_rlc_parameters_refuse_what_is_no_circuit():
     example = examples.rlc()
-    with pytest.raises(ModelError, match="not continuous"):
+    with pytest.raises(rco.ModelError, match="not continuous"):
         examples.rlc_parameters(example.true.sample(1e-4))
-    with pytest.raises(ModelError, match="4 states"):
+    with pytest.raises(rco.ModelError, match="4 states"):
         examples.rlc_parameters(examples.two_dof().true)
-    with pytest.raises(ModelError, match="det A"):
+    with pytest.raises(rco.ModelError, match="det A"):
         examples.rlc_parameters(ct.ss([[0, 1], [0, -1]], [[0], [1]], [[0, 1]], 0))
-    with pytest.raises(ModelError, match="C B"):
+    with pytest.raises(rco.ModelError, match="C B"):
         examples.rlc_parameters(ct.ss([[0, 1], [-1, -1]], [[0], [1]], [[1, 0]], 0))

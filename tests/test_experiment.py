@@ -12,14 +12,14 @@ import control as ct
 import numpy as np
 import pytest
 from hidden.generator import hidden_record
+from inner import Whitener
 from scipy import stats
 from scipy.optimize import least_squares
 from scipy.signal import StateSpace, lfilter, ss2tf
 
 import rcorefine as rco
+from rcorefine.diagnosis import separation as planning
 from rcorefine.diagnosis.experiments import in_band
-from rcorefine.diagnosis.separation import Contender, Plan, sensor_rows, separation, with_sensor
-from rcorefine.inference.whitening import Whitener
 
 DT, N, NOISE = 0.02, 800, 0.02
 WHITE = Whitener((np.ones(1),), np.ones(1))
@@ -45,7 +45,7 @@ def springs():
     model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
     effects = [rco.Effect("stiffness", "link1"), rco.Effect("damping", "link1")]
     fits = [rco.refine(model, data, [effect], offset=False) for effect in effects]
-    return data, [Contender(e, f, 0.5, 0.0) for e, f in zip(effects, fits, strict=True)]
+    return data, [planning.Contender(e, f, 0.5, 0.0) for e, f in zip(effects, fits, strict=True)]
 
 
 def refitted(truth, rival, w, index):
@@ -68,7 +68,9 @@ def test_distance_is_that_of_a_refit_with_what_is_known(springs):
     _data, (spring, damper) = springs
     w = np.random.default_rng(12).standard_normal(N) * 20
     shell = rco.Measurement(w, np.zeros(N), dt=DT)
-    got = separation([spring, damper], Plan(shell, np.array([NOISE]), WHITE, before=N)).distances
+    got = planning.separation(
+        [spring, damper], planning.Plan(shell, np.array([NOISE]), WHITE, before=N)
+    ).distances
     assert got[0, 1] == pytest.approx(refitted(spring, damper, w, 1), rel=2e-3)
     assert got[1, 0] == pytest.approx(refitted(damper, spring, w, 0), rel=2e-3)
 
@@ -79,12 +81,12 @@ def test_probability_is_that_of_the_normal_law_where_the_coefficients_are_known(
     _data, (spring, damper) = springs
     lead = 2.0
     rivals = [
-        Contender(c.effect, _sure(c.refinement), weight, twice)
+        planning.Contender(c.effect, _sure(c.refinement), weight, twice)
         for c, weight, twice in ((spring, 1.0, lead), (damper, 0.0, 0.0))
     ]
     w = 20 * np.random.default_rng(13).standard_normal(N)
-    plan = Plan(rco.Measurement(w, np.zeros(N), dt=DT), np.array([level * NOISE]), WHITE, before=N)
-    found = separation(rivals, plan)
+    plan = planning.Plan(rco.Measurement(w, np.zeros(N), dt=DT), np.array([level * NOISE]), WHITE, before=N)
+    found = planning.separation(rivals, plan)
     D = found.distances[0, 1]
     expected = stats.norm.cdf((lead + D - 9.2) / (2 * np.sqrt(D)))
     assert found.probability == pytest.approx(expected, abs=0.03)  # 4000 draws
@@ -102,11 +104,11 @@ def test_probability_is_the_share_of_fits_that_separate(springs):
     data, (spring, damper) = springs
     w = data.inputs[0]
     rivals = [
-        Contender(spring.effect, spring.refinement, 1.0, 0.0),
-        Contender(damper.effect, damper.refinement, 0.0, 0.0),
+        planning.Contender(spring.effect, spring.refinement, 1.0, 0.0),
+        planning.Contender(damper.effect, damper.refinement, 0.0, 0.0),
     ]
     level = 3 * NOISE
-    found = separation(rivals, Plan(data, np.array([level]), WHITE, joined=False, before=N))
+    found = planning.separation(rivals, planning.Plan(data, np.array([level]), WHITE, joined=False, before=N))
     truth = oscillator(100.0 + spring.refinement.theta[0], 0.4, w)
     rng = np.random.default_rng(14)
     separate = []
@@ -128,7 +130,7 @@ def test_probability_is_the_share_of_fits_that_separate(springs):
 
 def test_the_same_explanation_twice_never_separates(springs):
     data, (spring, _damper) = springs
-    found = separation([spring, spring], Plan(data, np.array([NOISE]), WHITE, before=N))
+    found = planning.separation([spring, spring], planning.Plan(data, np.array([NOISE]), WHITE, before=N))
     assert found.distances.max() < 1e-6
     assert found.probability == 0.0
 
@@ -145,17 +147,17 @@ def test_input_in_a_band_keeps_mean_and_rms(rng):
 
 def test_one_more_sensor_reads_what_it_says():
     model = rco.mass_spring_damper([1.0, 2.0], [0.3, 0.3], [100.0, 80.0], sensors=[("velocity", 1)])
-    rows = sensor_rows(model)
+    rows = planning.sensor_rows(model)
     assert [name for name, _, _ in rows] == ["v2"]
     _, label, row = rows[0]
-    more = with_sensor(model, label, row)
+    more = planning.with_sensor(model, label, row)
     assert more.linear.output_labels == ("v1", "v2")
     assert more.output_units == ("m/s", "m/s")
     expected = ct.ss(model.linear.A, model.linear.B, np.eye(4), np.zeros((4, 1)))(2j)[[2, 3]]
     np.testing.assert_allclose(more.system(2j), expected)
-    assert sensor_rows(model, ["link2"])[0][2].tolist() == [-1, 1, 0, 0]
+    assert planning.sensor_rows(model, ["link2"])[0][2].tolist() == [-1, 1, 0, 0]
     with pytest.raises(ct.ControlArgument, match="there are the states"):
-        sensor_rows(model, ["nowhere"])
+        planning.sensor_rows(model, ["nowhere"])
 
 
 # ------------------------------------------------------------------------ the advice

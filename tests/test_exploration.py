@@ -8,9 +8,9 @@ import sys
 import control as ct
 import numpy as np
 import pytest
+from inner import Structure
 
 import rcorefine as rco
-from rcorefine.engine.structure import Structure
 from rcorefine.explorer import Exploration
 
 WEAK = rco.Effect("stiffness", "link1")

@@ -15,12 +15,9 @@ from math import tanh
 import control as ct
 import numpy as np
 import pytest
+from inner import KINDS, FormulaLaw, Structure, nonlinear_system
 
 import rcorefine as rco
-from rcorefine.effects.formula import FormulaLaw
-from rcorefine.effects.law import KINDS
-from rcorefine.engine.nonlinear import nonlinear_system
-from rcorefine.engine.structure import Structure
 from rcorefine.export.equations import equations_of
 from rcorefine.export.programs import PROGRAMS
 

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 import rcorefine as rco
-from rcorefine.comparison import FailureMap, FrequencyComparison, horizon_error, residual_force
+from rcorefine import comparison
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 import failure_map as bench
@@ -45,7 +45,7 @@ def record(w, y, seed=0, color=(1.0,)):
 @pytest.mark.parametrize("color", [(1.0,), (1.0, -0.9)])
 def test_exact_model_has_an_empty_map(color):
     found = rco.compare(model(), record(*clean(), color=color)).failures
-    assert isinstance(found, FailureMap)
+    assert isinstance(found, comparison.FailureMap)
     assert len(found) == 0
     assert not found
     assert "No failure" in str(found)
@@ -180,7 +180,7 @@ def test_map_is_searched_once_pickles_and_reads_well():
     assert len(second) == 0
     twin = pickle.loads(pickle.dumps(result))
     assert str(twin.failures[0]) == str(first)
-    assert isinstance(result.select(0).failures, FailureMap)
+    assert isinstance(result.select(0).failures, comparison.FailureMap)
     text = str(first)
     assert max(map(len, text.splitlines())) <= 80
     assert "share" in text
@@ -208,7 +208,7 @@ def test_short_records_say_so():
 def test_residual_force_follows_the_missing_spring():
     changed = A.copy()
     changed[2, 0] -= 30.0  # mass 1: the model lacks a spring of 30 on x1
-    found = residual_force(rco.compare(model(), record(*clean(a=changed))), 0, "x1")
+    found = comparison.residual_force(rco.compare(model(), record(*clean(a=changed))), 0, "x1")
     slope = np.polyfit(found.position, found.force, 1)[0]
     assert slope == pytest.approx(30, rel=0.15)
 
@@ -217,13 +217,13 @@ def test_horizon_is_flat_for_the_true_model_and_ends_in_the_free_run():
     changed = A.copy()
     changed[2, 0] -= 30.0
     data = record(*clean())
-    found = horizon_error(rco.compare([model(), model(changed)], data), [1, 5, 50, 400])
+    found = comparison.horizon_error(rco.compare([model(), model(changed)], data), [1, 5, 50, 400])
     noise = 0.02 * data.outputs.std(axis=1)
     np.testing.assert_allclose(found.rmse[0] / noise[:, None], 1.0, atol=0.12)
     assert (found.rmse[1, :, 0] < 0.5 * found.free_run[1]).all()
     np.testing.assert_allclose(found.rmse[1, :, -1], found.free_run[1], rtol=0.25)
     with pytest.raises(rco.DataError, match="whole numbers"):
-        horizon_error(rco.compare(model(), data), [0])
+        comparison.horizon_error(rco.compare(model(), data), [0])
 
 
 @pytest.fixture(scope="module")
@@ -259,7 +259,7 @@ def test_measured_response_is_compared_directly():
     G = np.array([C @ np.linalg.solve(1j * o * np.eye(4) - A, B) for o in omega]).transpose(1, 2, 0)
     data = ct.frd(G, omega, name="analyzer", inputs=["f"], outputs=["x1", "x2"])
     result = rco.compare([model(), wrong], data)
-    assert isinstance(result, FrequencyComparison)
+    assert isinstance(result, comparison.FrequencyComparison)
     assert result.fit.shape == (2, 2, 1)
     np.testing.assert_allclose(result.fit[0], 100, atol=1e-8)
     Gw = np.array([C @ np.linalg.solve(1j * o * np.eye(4) - np.array(wrong.A), B) for o in omega]).transpose(

@@ -5,11 +5,12 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from cases import few_or_all, offered, slow
 from hidden.generator import hidden_record
+from inner import f_test, project, rank_basis
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.inference.f_tests import f_test, project, rank_basis
 from rcorefine.inference.whitening import huber_weights
 
 
@@ -91,8 +92,10 @@ def test_each_output_has_a_scale_of_its_own() -> None:
     assert np.mean(weights[:500] < 1) == pytest.approx(0.18, abs=0.06)  # P(|z| > 1.345)
 
 
-@pytest.mark.parametrize("noise_kind", ["spikes", "dropouts", "t3"])
-def test_no_step_where_only_noise_stands_out(noise_kind: str) -> None:
+@pytest.mark.parametrize("kinds", few_or_all("stiffness", "damping", "coulomb_friction", "output_saturation"))
+@pytest.mark.parametrize("noise_kind", ["spikes", *slow("dropouts", "t3")])
+def test_no_step_where_only_noise_stands_out(noise_kind: str, kinds: tuple[str, ...] | None) -> None:
     hidden = hidden_record(82500, effect=None, samples=1500, noise_kind=noise_kind)
-    found = rco.improve(hidden.plant.model, hidden.data)
+    model = hidden.plant.model
+    found = rco.improve(model, hidden.data, candidates=offered(model, kinds))
     assert (len(found.steps), found.verdict) == (1, "adequate")

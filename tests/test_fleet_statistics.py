@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import statsmodels.api as sm
+from cases import sweep
 from scipy import stats
 from statsmodels.stats.meta_analysis import combine_effects
 
 import rcorefine as rco
-from rcorefine.fleet import pooling
-from rcorefine.fleet.comparison import Estimate, SurveyRow, fleet_effects, trends
+from rcorefine.fleet import comparison, pooling
 
 KIND, PLACE = "coulomb_friction", "link1"
 
@@ -53,8 +53,9 @@ def test_a_machine_against_the_others_is_a_studentized_residual(rng):
     np.testing.assert_allclose(p_values, 2 * stats.t.sf(np.abs(away), 6), rtol=1e-5)
 
 
-@pytest.mark.parametrize("count", [4, 6, 12, 40])
-@pytest.mark.parametrize("spread", [0.0, 1.0, 30.0])
+@pytest.mark.parametrize(
+    ("spread", "count"), sweep([(0.0, 4), (30.0, 6), (1.0, 12)], (0.0, 1.0, 30.0), (4, 6, 12, 40))
+)
 def test_nobody_stands_out_in_a_normal_fleet(rng, count, spread):
     """The rate of fleets in which any does, at 5 %, stays below its bound (99.9 %)."""
     runs, hits = 600, 0
@@ -97,9 +98,9 @@ def test_slopes_are_those_of_an_analysis_of_covariance(rng):
 def rows_of(values, std=0.1, starts=None, kind=KIND):
     """Rows of a fleet from (machine, record) estimates."""
     return [
-        SurveyRow(
+        comparison.SurveyRow(
             f"m{i}", f"r{j}", j, 0.0 if starts is None else starts[j], "effect", kind, PLACE, value, std, "N",
-            estimates=(Estimate(kind, PLACE, "force", float(value), std, "N"),),
+            estimates=(comparison.Estimate(kind, PLACE, "force", float(value), std, "N"),),
             effects=(rco.Effect(kind, PLACE),),
         )
         for i, mine in enumerate(values)
@@ -113,7 +114,7 @@ def test_what_grows_and_nothing_else(rng):
     for _ in range(100):
         values = 1.0 + 0.2 * rng.standard_normal((8, 1)) + 0.1 * rng.standard_normal((8, 10))
         values[3] += 0.05 * np.arange(10)
-        grows = [trend.machine for trend in trends(rows_of(values), 0.01) if trend.grows]
+        grows = [trend.machine for trend in comparison.trends(rows_of(values), 0.01) if trend.grows]
         found += grows == ["m3"]
     # the slope is known to 0.1 / sqrt(82.5): 4.5 standard deviations, and 8 tests at 0.01 need 3.4
     assert found >= stats.binom.ppf(0.001, 100, stats.norm.sf(3.4 - 4.5) - 0.01)
@@ -124,7 +125,7 @@ def test_nothing_grows_where_nothing_does(rng):
     hits = 0
     for k in range(400):
         values = 1.0 + (0.1 + 0.2 * (k % 2)) * rng.standard_normal((6, 4))
-        hits += any(trend.grows for trend in trends(rows_of(values), 0.05))
+        hits += any(trend.grows for trend in comparison.trends(rows_of(values), 0.05))
     assert hits <= stats.binom.ppf(0.999, 400, 0.05)
 
 
@@ -134,7 +135,7 @@ def test_common_own_and_unclear(rng):
     one = 0.1 * rng.standard_normal((8, 2))
     one[5] += 4.0
     rows = [*everywhere, *nowhere, *rows_of(one, kind="stiffness")]
-    found = {effect.kind: effect for effect in fleet_effects(rows, 0.01)}
+    found = {effect.kind: effect for effect in comparison.fleet_effects(rows, 0.01)}
     assert {kind: effect.sort for kind, effect in found.items()} == {
         KIND: "common", "stiffness": "own", "quadratic_damping": "unclear",
     }  # fmt: skip
@@ -145,7 +146,7 @@ def test_common_own_and_unclear(rng):
 
 def test_three_machines_cannot_tell_who_stands_out():
     """Nobody is named, and no deviation is given."""
-    [effect] = fleet_effects(rows_of([[1.0], [1.0], [9.0]]), 0.01)
+    [effect] = comparison.fleet_effects(rows_of([[1.0], [1.0], [9.0]]), 0.01)
     assert not effect.standing_out
     assert [machine.deviation for machine in effect.machines] == [None] * 3
 
@@ -153,7 +154,7 @@ def test_three_machines_cannot_tell_who_stands_out():
 def test_time_is_that_of_the_records_where_they_have_one():
     """Records that begin at 0, 10, 30 s have slopes per second; those that all begin at 0 per record."""
     values = [[1.0, 2.0, 4.0]]
-    [clock] = trends(rows_of(values, starts=[0.0, 10.0, 30.0]), 0.01)
+    [clock] = comparison.trends(rows_of(values, starts=[0.0, 10.0, 30.0]), 0.01)
     assert (clock.per, clock.slope) == ("s", pytest.approx(0.1))
-    [counted] = trends(rows_of(values), 0.01)
+    [counted] = comparison.trends(rows_of(values), 0.01)
     assert counted.per == "record"

@@ -7,20 +7,16 @@ import warnings
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Structure, fitted_from, residual_tests, unit_forces
 from scipy.integrate import quad, solve_ivp
 from scipy.interpolate import RegularGridInterpolator
 from scipy.signal import cont2discrete, dlsim
 from scipy.stats import multivariate_normal
 
 import rcorefine as rco
-from rcorefine.diagnosis import residual_tests
-from rcorefine.diagnosis.beside import Beside, channel_curve, stops
-from rcorefine.effects.effect import unit_forces
+from rcorefine.diagnosis import beside
 from rcorefine.effects.given import share_beyond
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.inference.fitted import fitted_from
-from rcorefine.inference.free_form import Curve, averaged_evidence, channel_signal, evidence
+from rcorefine.inference import free_form
 
 SPRING = rco.Table(d=[-1.0, 0.0, 2.0], force=[-2.0, 0.0, 8.0])
 BOTH = rco.Table(d=[-1.0, 0.0, 2.0], v=[-1.0, 1.0], force=[[0.0, 1.0], [2.0, 3.0], [4.0, 9.0]])
@@ -97,7 +93,7 @@ class TestCurve:
         # f(d) + g(v) + v h(d), straight between the knots: the coefficients are values at the knots
         rng = np.random.default_rng(1)
         d, v = rng.standard_normal((2, 500))
-        curve = Curve.along("link1", d, v)
+        curve = free_form.Curve.along("link1", d, v)
         values = np.concatenate([np.abs(curve.d), 2.0 * curve.v, np.maximum(curve.d, 0.0) * curve.scale])
         knots = np.interp(d, curve.d, np.maximum(curve.d, 0.0))
         expected = np.interp(d, curve.d, np.abs(curve.d)) + 2.0 * v + v * knots
@@ -106,7 +102,7 @@ class TestCurve:
 
     def test_one_signal_alone(self):
         v = np.random.default_rng(2).standard_normal(300)
-        curve = Curve.along("tank1", np.zeros(300), v)
+        curve = free_form.Curve.along("tank1", np.zeros(300), v)
         assert curve.d.size == 0
         assert curve.table(curve.v)(0.0, 0.3) == pytest.approx(0.3)
 
@@ -115,7 +111,7 @@ def test_evidence_is_the_likelihood_of_a_normal_force():
     rng = np.random.default_rng(3)
     columns = rng.standard_normal((60, 4)) * [3.0, 1.0, 0.3, 0.1]
     residual = columns @ [0.5, -1.0, 0.0, 2.0] + rng.standard_normal(60)
-    found = evidence(residual, columns)
+    found = free_form.evidence(residual, columns)
     none = multivariate_normal.logpdf(residual, cov=np.eye(60))
     some = multivariate_normal.logpdf(residual, cov=np.eye(60) + found.variance * columns @ columns.T)
     assert found.gain == pytest.approx(some - none)
@@ -137,15 +133,15 @@ def test_the_odds_of_a_departure_are_likelihoods_averaged_over_its_size(there):
         return np.exp(some - none)
 
     expected = np.log(quad(odds, 0.0, 1.0, epsrel=1e-8)[0])
-    assert averaged_evidence(residual, columns) == pytest.approx(expected, abs=1e-3)
+    assert free_form.averaged_evidence(residual, columns) == pytest.approx(expected, abs=1e-3)
     # what the record would not show stays as likely as the law, what it would show and does not is out
-    assert averaged_evidence(residual, 1e-6 * columns) == pytest.approx(0.0, abs=1e-3)
-    assert averaged_evidence(rng.standard_normal(50), 1e4 * columns) < -5.0
+    assert free_form.averaged_evidence(residual, 1e-6 * columns) == pytest.approx(0.0, abs=1e-3)
+    assert free_form.averaged_evidence(rng.standard_normal(50), 1e4 * columns) < -5.0
 
 
 def test_a_stop_slips_at_its_radius_and_springs_back_from_there():
     up, back = np.linspace(0.0, 1.0, 101), np.linspace(1.0, 0.0, 101)[1:]
-    found = stops(np.concatenate([up, back]), 1.0, [0.3])[:, 0]
+    found = beside.stops(np.concatenate([up, back]), 1.0, [0.3])[:, 0]
     wanted = np.concatenate([np.minimum(up, 0.3), np.maximum(0.3 - (1.0 - back), -0.3)])
     assert found == pytest.approx((wanted - wanted.mean()) / wanted.std(), abs=1e-9)
 
@@ -161,7 +157,7 @@ def test_memory_tells_a_law_that_remembers_otherwise(law, passes):
     record = rco.Measurement(record.inputs, y, dt=0.02, hold="zoh")
     better = rco.refine(model, record, [rco.Effect(law, "link1")])
     tested = residual_tests.TestedResidual(fitted_from(better, [record], tolerance=0.0))
-    (memory,) = (test for test in Beside(tested, "link1").tests() if test.name == "memory at link1")
+    (memory,) = (test for test in beside.Beside(tested, "link1").tests() if test.name == "memory at link1")
     assert memory.p_value > 0.01 if passes else memory.p_value < 1e-4
 
 
@@ -315,9 +311,9 @@ def test_a_free_curve_of_an_output_leaves_out_what_a_delay_hides(seed):
     late = rco.Effect("output_delay", "y", start={"delay": 57 * 0.05})
     fitted = fitted_from(rco.refine(model, data, [late]), [data], tolerance=0.0)
     assert fitted.refinement.parameter("delay").value == pytest.approx(2.85, abs=0.025)
-    signal, hidden = channel_signal(fitted, "y", 0), fitted.problem.judged(fitted.theta)[0][0] == 0
+    signal, hidden = free_form.channel_signal(fitted, "y", 0), fitted.problem.judged(fitted.theta)[0][0] == 0
     assert 50 < hidden.sum() < 60
     assert np.abs(signal - y)[~hidden].max() < 0.1 * y.std()
-    assert channel_curve(fitted, "y").d.min() >= signal[~hidden].min()
-    (test,) = Beside(residual_tests.TestedResidual(fitted), "y").tests()
+    assert beside.channel_curve(fitted, "y").d.min() >= signal[~hidden].min()
+    (test,) = beside.Beside(residual_tests.TestedResidual(fitted), "y").tests()
     assert test.p_value > 0.001

@@ -4,7 +4,7 @@ import pytest
 from hidden.coursework import coursework
 
 import rcorefine as rco
-from rcorefine.diagnosis.search import _groups, _is_late
+from rcorefine.diagnosis import search
 
 
 @pytest.mark.slow
@@ -25,5 +25,5 @@ def test_delays_and_lags_of_channels_are_one_group():
         rco.Effect("output_smoothing", "y"),
         rco.Effect("output_saturation", "y"),
     ]
-    assert [_is_late(effect) for effect in effects] == [False, True, True, False]
-    assert _groups(effects) == [[0], [1], [2], [3], [2, 3], [1, 2]]
+    assert [search._is_late(effect) for effect in effects] == [False, True, True, False]
+    assert search._groups(effects) == [[0], [1], [2], [3], [2, 3], [1, 2]]

@@ -15,12 +15,12 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from inner import KINDS
 from radon.complexity import cc_visit
 
 import rcorefine as rco
 from rcorefine import results
 from rcorefine.conftest import collect_ignore
-from rcorefine.effects.law import KINDS
 from rcorefine.views.content import content
 
 PACKAGE = Path(rco.__file__).parent

@@ -5,34 +5,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import statsmodels.api as sm
+from inner import Whitener, f_test, project, rank_basis
 from scipy import stats
 from scipy.linalg import solve_triangular
 from scipy.optimize import minimize_scalar
 from scipy.signal import lfilter
 
-from rcorefine.inference.covariance import (
-    colored,
-    covariance,
-    parameter_uncertainty,
-    pseudo_inverse,
-    standard_deviations,
-    wald,
-)
-from rcorefine.inference.f_tests import f_test, project, rank_basis
-from rcorefine.inference.whitening import Whitener
+from rcorefine.inference import covariance as cov
 
 
 def test_white_residuals_give_the_covariance_of_statsmodels(rng):
     X = rng.standard_normal((300, 3)) * [1.0, 1e-2, 1e2]
     y = X @ [1.0, 2e2, 3e-2] + 0.3 * rng.standard_normal(300)
     theirs = sm.OLS(y, X).fit()
-    found = theirs.scale * covariance(X.T @ X)
+    found = theirs.scale * cov.covariance(X.T @ X)
     assert found == pytest.approx(theirs.cov_params(), rel=1e-9)
     restriction = theirs.wald_test(np.eye(3), use_f=False, scalar=True)
-    assert wald(theirs.params, found) == pytest.approx(restriction.pvalue, rel=1e-6, abs=1e-300)
+    assert cov.wald(theirs.params, found) == pytest.approx(restriction.pvalue, rel=1e-6, abs=1e-300)
     close = theirs.params - [1.0, 2e2, 3e-2]
     constraint = (np.eye(3), np.array([1.0, 2e2, 3e-2]))
-    assert wald(close, found) == pytest.approx(
+    assert cov.wald(close, found) == pytest.approx(
         theirs.wald_test(constraint, use_f=False, scalar=True).pvalue, rel=1e-6
     )
 
@@ -46,10 +38,10 @@ def test_estimates_under_colored_noise_scatter_as_promised(rng):
         e = lfilter([1.0], [1.0, -0.9], rng.standard_normal(n + 200))[200:]
         theta = np.linalg.lstsq(slow, e, rcond=None)[0]
         r = slow @ theta - e
-        unsure = parameter_uncertainty([r[None]], [slow[None]], np.zeros(1))
+        unsure = cov.parameter_uncertainty([r[None]], [slow[None]], np.zeros(1))
         found.append(float(theta[0]))
         promised.append(float(unsure.covariance[0, 0]))
-        plain.append(float(r.var() * covariance(slow.T @ slow)[0, 0]))
+        plain.append(float(r.var() * cov.covariance(slow.T @ slow)[0, 0]))
     ratio = np.var(found) / np.mean(promised)
     assert stats.chi2.ppf(5e-4, runs) / runs < ratio < 1.06 * stats.chi2.ppf(1 - 5e-4, runs) / runs
     assert np.var(found) / np.mean(plain) > 5
@@ -60,7 +52,7 @@ def test_the_sandwich_is_that_of_the_errors_and_not_of_what_the_fit_left(rng):
     n, X = 60, np.polynomial.legendre.legvander(np.linspace(-1, 1, 60), 5)
     e = lfilter([1.0], [1.0, -0.5], rng.standard_normal(n + 100))[100:]
     r = project(e, rank_basis(X))
-    normal, middle = colored([r[None]], [X[None]], np.zeros(6), order=1)
+    normal, middle = cov.colored([r[None]], [X[None]], np.zeros(6), order=1)
 
     def restricted(phi: float, level: bool = False) -> float:
         white, seen = r[1:] - phi * r[:-1], X[1:] - phi * X[:-1]
@@ -84,17 +76,17 @@ def test_intervals_of_sixty_samples_hold_beside_slow_noise():
     for _ in range(runs):
         e = lfilter([1.0], [1.0, -0.5], rng.standard_normal(n + 100))[100:]
         theta = np.linalg.lstsq(X, e, rcond=None)[0]
-        unsure = parameter_uncertainty([(X @ theta - e)[None]], [X[None]], np.zeros(3))
-        inside += int(np.sum(np.abs(theta) < 2.0 * standard_deviations(unsure.covariance)))
+        unsure = cov.parameter_uncertainty([(X @ theta - e)[None]], [X[None]], np.zeros(3))
+        inside += int(np.sum(np.abs(theta) < 2.0 * cov.standard_deviations(unsure.covariance)))
     assert inside > 0.9 * 3 * runs
 
 
 def test_a_prior_is_one_more_measurement(rng):
     J, r = rng.standard_normal((1, 50, 2)), rng.standard_normal((1, 50))
-    wide = parameter_uncertainty([r], [J], np.zeros(2)).covariance
-    tight = parameter_uncertainty([r], [J], np.array([1e12, 0.0])).covariance
+    wide = cov.parameter_uncertainty([r], [J], np.zeros(2)).covariance
+    tight = cov.parameter_uncertainty([r], [J], np.array([1e12, 0.0])).covariance
     assert tight[0, 0] == pytest.approx(1e-12, rel=1e-6)
-    alone = parameter_uncertainty([r], [J[:, :, 1:]], np.zeros(1)).covariance
+    alone = cov.parameter_uncertainty([r], [J[:, :, 1:]], np.zeros(1)).covariance
     assert tight[1, 1] == pytest.approx(alone[0, 0], rel=0.05)
     assert wide[0, 0] > 1e-3
 
@@ -102,23 +94,23 @@ def test_a_prior_is_one_more_measurement(rng):
 def test_what_is_not_seen_is_infinite_and_named(rng):
     x = rng.standard_normal((80, 1))
     J = np.hstack([x, 3.0 * x, np.zeros((80, 1)), rng.standard_normal((80, 1))])
-    sd = standard_deviations(covariance(J.T @ J))
+    sd = cov.standard_deviations(cov.covariance(J.T @ J))
     assert np.isinf(sd[:3]).all()
     assert np.isfinite(sd[3])
-    _, lost, _ = pseudo_inverse(J.T @ J)
+    _, lost, _ = cov.pseudo_inverse(J.T @ J)
     assert lost.shape == (2, 4)
     assert J @ lost.T == pytest.approx(0.0, abs=1e-6)
-    assert wald(np.array([1e9, 1e9, 1e9, 0.0]), covariance(J.T @ J)) == 1.0
+    assert cov.wald(np.array([1e9, 1e9, 1e9, 0.0]), cov.covariance(J.T @ J)) == 1.0
 
 
 @pytest.mark.parametrize("unit", [1e-60, 1e-9, 1e9, 1e60])
 def test_units_carry_through(rng, unit):
     J = rng.standard_normal((60, 3))
     D = np.diag([unit, 1.0, 1.0])
-    assert covariance(D @ J.T @ J @ D) * np.outer(np.diag(D), np.diag(D)) == pytest.approx(
-        covariance(J.T @ J), rel=1e-9
+    assert cov.covariance(D @ J.T @ J @ D) * np.outer(np.diag(D), np.diag(D)) == pytest.approx(
+        cov.covariance(J.T @ J), rel=1e-9
     )
-    assert pseudo_inverse(D @ J.T @ J @ D)[2] == pytest.approx(pseudo_inverse(J.T @ J)[2], rel=1e-9)
+    assert cov.pseudo_inverse(D @ J.T @ J @ D)[2] == pytest.approx(cov.pseudo_inverse(J.T @ J)[2], rel=1e-9)
 
 
 # ---------------------------------------------------------------------- F-tests

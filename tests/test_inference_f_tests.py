@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from inner import project, rank_basis
 from scipy import stats
 from scipy.linalg import block_diag
 
-from rcorefine.inference.f_tests import Basis, apart_test, lengths, project, rank_basis
+from rcorefine.inference import f_tests
 
 
 def by_hand(residual, columns, fitted):
@@ -34,9 +35,9 @@ def test_columns_of_one_output_each_are_tested_as_on_all_rows(rng, level):
     blocks = [rng.standard_normal((n, k)) for k in counts]
     fitted = rng.standard_normal((3 * n, 6))
     residual = np.repeat(level, n) * rng.standard_normal(3 * n) + block_diag(*blocks) @ np.full(12, 0.05)
-    basis = Basis(rank_basis(fitted))
+    basis = f_tests.Basis(rank_basis(fitted))
     parts = [(np.arange(i * n, (i + 1) * n), block) for i, block in enumerate(blocks)]
-    found = apart_test("", project(residual, basis), parts, basis)
+    found = f_tests.apart_test("", project(residual, basis), parts, basis)
     statistic, p_equal, p_value = by_hand(residual, block_diag(*blocks), fitted)
     assert found.dof == 12
     assert found.statistic == pytest.approx(statistic, rel=1e-10)
@@ -48,9 +49,9 @@ def test_directions_that_were_fitted_do_not_count_twice(rng):
     fitted[n:] = 0.0  # of the first output alone
     blocks = [np.column_stack([fitted[:n], rng.standard_normal((n, 3))]), rng.standard_normal((n, 3))]
     blocks[1] = np.column_stack([blocks[1], blocks[1] @ [1.0, -2.0, 0.5]])  # one too many
-    residual, basis = rng.standard_normal(200), Basis(rank_basis(fitted))
+    residual, basis = rng.standard_normal(200), f_tests.Basis(rank_basis(fitted))
     parts = [(np.arange(n), blocks[0]), (np.arange(n, 200), blocks[1])]
-    found = apart_test("", project(residual, basis), parts, basis)
+    found = f_tests.apart_test("", project(residual, basis), parts, basis)
     own = block_diag(blocks[0][:, 2:], blocks[1][:, :3])
     statistic, p_equal, p_value = by_hand(residual, own, fitted)
     assert found.dof == 6
@@ -63,7 +64,7 @@ def test_a_basis_by_record_projects_off_as_all_columns_at_once(rng):
     own[1][:, 1] = 3.0 * own[1][:, 0]  # the record sees one direction only
     ends = np.cumsum(rows)[:-1]
     common[:40, 2], common[40:, 2] = own[0] @ [1.0, 2.0], 0.0  # no more than the first start can do
-    basis = Basis.of(np.split(common, ends), own)
+    basis = f_tests.Basis.of(np.split(common, ends), own)
     values, all_ = rng.standard_normal((150, 4)), np.hstack([common, block_diag(*own)])
     expected = values - all_ @ np.linalg.lstsq(all_, values, rcond=None)[0]
     assert project(values, basis) == pytest.approx(expected, abs=1e-10)
@@ -82,4 +83,4 @@ def test_nearly_dependent_columns_give_an_orthonormal_basis(rng):
     x[:, 3] = x[:, 0] + 1e-6 * x[:, 3]
     q = rank_basis(x)
     assert q.T @ q == pytest.approx(np.eye(4), abs=1e-9)
-    assert lengths(project(x, q)).max() < 1e-9
+    assert f_tests.lengths(project(x, q)).max() < 1e-9

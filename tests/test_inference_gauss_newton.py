@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from inner import Rows, gauss_newton, promised
 from scipy.optimize import least_squares, lsq_linear
-
-from rcorefine.gauss_newton import Rows, gauss_newton, promised
 
 
 def linear(A, b):

@@ -7,13 +7,13 @@ from types import SimpleNamespace
 import control as ct
 import numpy as np
 import pytest
+from inner import Structure
 from scipy.stats import multivariate_normal
 
 import rcorefine as rco
 from rcorefine.engine.observer import steady_filter
 from rcorefine.engine.point import linearized
 from rcorefine.engine.smoother import smooth
-from rcorefine.engine.structure import Structure
 
 
 def plant(rng, n=3, ny=2):

@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import control as ct
 import numpy as np
 import pytest
+from inner import read_record
 
 import rcorefine as rco
 from rcorefine import DataError, Measurement, MissingExtraError
-from rcorefine.data.channels import read_record
 
 SEMICOLONS = "Prüfstand 3;;\nDatum;12.03.2024;\n\nt;U;n\ns;V;rpm\n0,00;1,5;0\n0,01;1,5;-2,25\n0,02;0;1e1\n"
 

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from types import SimpleNamespace
 
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from hidden.generator import Law, held_motion
+from inner import Hypothesis, Structure, levels
 from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
-from rcorefine.diagnosis.hypothesis import Hypothesis, Trial
+from rcorefine.diagnosis.hypothesis import Trial
 from rcorefine.diagnosis.verdict import undetermined
-from rcorefine.engine.structure import Structure
-from rcorefine.inference.levels import levels
 from rcorefine.results import with_error
 
 DT = 0.02
@@ -117,14 +118,14 @@ def test_what_the_record_does_not_determine_does_not_stay(spring: float, held: l
     assert ladder.verdict == "adequate"
 
 
-def test_a_ladder_has_no_more_steps_than_asked_for(data: rco.Measurement) -> None:
+@pytest.mark.parametrize("most", [0, *slow(1)])
+def test_a_ladder_has_no_more_steps_than_asked_for(data: rco.Measurement, most: int) -> None:
     """The spring is the truth, the rest noise."""
     laws = [rco.Effect(kind, "link1") for kind in KINDS]
-    ladder = rco.improve(mass(), data, candidates=laws, max_effects=1)
-    assert [effect.kind for effect in ladder.effects] == ["stiffness"]
-    none = rco.improve(mass(), data, candidates=laws, max_effects=0)
-    assert [step.action for step in none.steps] == ["start"]
-    assert "max_effects = 0" in none.message
+    ladder = rco.improve(mass(), data, candidates=laws, max_effects=most)
+    assert [effect.kind for effect in ladder.effects] == ["stiffness"][:most]
+    assert [step.action for step in ladder.steps] == ["start", "add"][: 1 + most]
+    assert ("max_effects = 0" in ladder.message) == (most == 0)
 
 
 def test_what_the_first_part_cannot_show_is_sought_on_all_that_does_not_judge() -> None:
@@ -221,16 +222,21 @@ def cart_model() -> ct.StateSpace:
     return ct.ss([[0, 1], [0, -0.2]], [[0], [1.0]], [[1, 0]], 0, **names)
 
 
+@functools.cache
+def improved_cart(seed: int) -> tuple[rco.Measurement, rco.Improvement]:
+    data = cart(seed, 2000)
+    laws = [rco.Effect(kind, "place") for kind in ("cubic_stiffness", "coulomb_friction")]
+    return data, rco.improve(cart_model(), data, candidates=laws)
+
+
 def missed(model: rco.Refinement, record: rco.Measurement, horizon: float) -> float:
     return float(np.sqrt(np.mean(rco.compare(model, record, horizon=horizon).residual ** 2)))
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, *slow(2)])
 def test_no_result_is_worse_than_a_linear_refit_where_the_model_integrates(seed: int) -> None:
     """The drag is off, and no candidate is: a tenth of each part alone would not show it."""
-    data = cart(seed, 2000)
-    laws = [rco.Effect(kind, "place") for kind in ("cubic_stiffness", "coulomb_friction")]
-    found = rco.improve(cart_model(), data, candidates=laws)
+    data, found = improved_cart(seed)
     learn, judge = data.split(0.8)
     _, choose = learn.split(0.75)
     linear = rco.refine(cart_model(), learn, free="linear", horizon=10.0)
@@ -249,8 +255,7 @@ def test_no_result_is_worse_than_a_linear_refit_where_the_model_integrates(seed:
 
 def test_all_parts_of_a_record_have_the_horizon_of_the_whole_one() -> None:
     """A tenth of the record, where the model integrates; it is printed."""
-    data = cart(1, 2000)
-    found = rco.improve(cart_model(), data, candidates=[rco.Effect("cubic_stiffness", "place")])
+    data, found = improved_cart(1)
     learn, judge = data.split(0.8)
     choose = learn.split(0.75)[1]
     first = found.steps[0]

@@ -6,13 +6,12 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from inner import Engine, Structure
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import rcorefine as rco
 from rcorefine.data.records import stretches_by_level
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
 from rcorefine.systems.response import hold_factor
 from rcorefine.views.bode import level_bode
 
@@ -499,7 +498,8 @@ def test_level_bode_keywords(refined):
 @pytest.mark.parametrize("kind", ["coulomb_friction", "clearance", "stribeck_friction", "hysteresis"])
 def test_kernels_are_the_same_compiled_or_not(kind):
     """One source; and a whole turn of Dahl's law leaves the inner state where it began."""
-    from rcorefine.effects.law import KINDS
+    from inner import KINDS
+
     from rcorefine.engine.kernels import law_over_period, memory_over_period
 
     turn = 2 * np.pi * np.arange(64) / 64

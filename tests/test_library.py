@@ -3,23 +3,13 @@
 import control as ct
 import numpy as np
 import pytest
+from inner import KINDS
 
-from rcorefine.effects.law import KINDS
-from rcorefine.exceptions import ModelError
-from rcorefine.models.builders import (
-    dc_motor,
-    mass_spring_damper,
-    mechanical,
-    quarter_car,
-    series_rlc,
-    thermal_network,
-    two_tanks,
-)
-from rcorefine.models.library import effect_library
+import rcorefine as rco
 
 
 def listed(model, **options):
-    return {(effect.kind, effect.place) for effect in effect_library(model, **options)}
+    return {(effect.kind, effect.place) for effect in rco.effect_library(model, **options)}
 
 
 def pendulum(**labels):
@@ -27,7 +17,7 @@ def pendulum(**labels):
 
 
 class TestChain:
-    model = mass_spring_damper([1, 2, 3], [1, 1, 1, 1], [10, 20, 30, 40], sensors=("velocity", 1))
+    model = rco.mass_spring_damper([1, 2, 3], [1, 1, 1, 1], [10, 20, 30, 40], sensors=("velocity", 1))
 
     def test_every_link_has_the_eight_laws_of_the_trials(self):
         found = listed(self.model)
@@ -37,7 +27,7 @@ class TestChain:
                 assert (kind, link) in found
 
     def test_size_order_and_uniqueness(self):
-        library = effect_library(self.model)
+        library = rco.effect_library(self.model)
         assert len(library) == len(set(library))
         assert 60 <= len(library) <= 120
         places = list(dict.fromkeys(effect.place for effect in library))
@@ -59,11 +49,11 @@ class TestChain:
         assert ("mass", "link1") not in found
 
     def test_base_excitation_keeps_bodies_at_the_mass(self):
-        found = listed(mass_spring_damper(1, 1, 1, excitation="base", sensors="acceleration"))
+        found = listed(rco.mass_spring_damper(1, 1, 1, excitation="base", sensors="acceleration"))
         assert ("mass", "mass1") in found
         assert ("mass", "link1") not in found  # an inerter, unless asked for
         assert ("mass", "link1") in listed(
-            mass_spring_damper(1, 1, 1, excitation="base", sensors="acceleration"), kinds="mass"
+            rco.mass_spring_damper(1, 1, 1, excitation="base", sensors="acceleration"), kinds="mass"
         )
 
     def test_kinds_and_places(self):
@@ -80,52 +70,52 @@ class TestChain:
         [
             ({"kinds": "friction"}, ct.ControlArgument, "unknown kind"),
             ({"kinds": "custom"}, ct.ControlArgument, "needs its law"),
-            ({"places": "link9"}, ModelError, "no place 'link9'; the places are link1"),
-            ({"places": "A[9,9]"}, ModelError, "no entry of the model"),
+            ({"places": "link9"}, rco.ModelError, "no place 'link9'; the places are link1"),
+            ({"places": "A[9,9]"}, rco.ModelError, "no entry of the model"),
             ({"kinds": []}, ct.ControlArgument, "kinds must be"),
-            ({"kinds": "sqrt_flow"}, ModelError, "no effect of kind sqrt_flow"),
-            ({"kinds": "stiffness", "places": "force"}, ModelError, "can sit at force"),
+            ({"kinds": "sqrt_flow"}, rco.ModelError, "no effect of kind sqrt_flow"),
+            ({"kinds": "stiffness", "places": "force"}, rco.ModelError, "can sit at force"),
         ],
     )
     def test_what_is_wrong_is_said(self, options, error, message):
         with pytest.raises(error, match=message):
-            effect_library(self.model, **options)
+            rco.effect_library(self.model, **options)
 
 
 class TestOtherModels:
     def test_circuit_effects_sit_at_their_component(self):
-        found = listed(series_rlc(250.0, 0.055, 23.5e-6))
+        found = listed(rco.series_rlc(250.0, 0.055, 23.5e-6))
         assert {("mass", "inductor"), ("damping", "resistor"), ("stiffness", "capacitor")} <= found
         assert not {("mass", "resistor"), ("damping", "capacitor"), ("stiffness", "inductor")} & found
 
     def test_tanks(self):
-        found = listed(two_tanks())
+        found = listed(rco.two_tanks())
         for kind in ("sqrt_flow", "threshold_flow", "damping"):
             assert {(kind, place) for place in ("tank1", "tank2", "tank1->tank2")} <= found
         assert ("output_saturation", "h2") in found
         assert not any(kind in ("stiffness", "hidden_mode", "hysteresis") for kind, _ in found)
 
     def test_heat_has_no_orifice(self):
-        found = listed(thermal_network([1.0, 2.0], {(1, 2): 1.0, (2, 0): 1.0}))
+        found = listed(rco.thermal_network([1.0, 2.0], {(1, 2): 1.0, (2, 0): 1.0}))
         assert ("damping", "T1-T2") in found
         assert ("sqrt_flow", "T1-T2") not in found
 
     def test_motor_without_angle_has_no_spring(self):
-        found = listed(dc_motor(gain=35.0, time_constant=0.28))
+        found = listed(rco.dc_motor(gain=35.0, time_constant=0.28))
         assert {("coulomb_friction", "shaft"), ("asymmetric_friction", "shaft")} <= found
         assert {("input_deadzone", "voltage"), ("input_delay", "voltage")} <= found
         assert not any(kind in ("stiffness", "clearance") for kind, _ in found)
-        with_angle = listed(dc_motor(gain=35.0, time_constant=0.28, sensors="angle"))
+        with_angle = listed(rco.dc_motor(gain=35.0, time_constant=0.28, sensors="angle"))
         assert ("stiffness", "shaft") in with_angle
 
     def test_car(self):
-        found = listed(quarter_car(250.0, 35.0, 16e3, 1e3, 160e3))
+        found = listed(rco.quarter_car(250.0, 35.0, 16e3, 1e3, 160e3))
         assert {("asymmetric_damping", "suspension"), ("bilinear_stiffness", "tire")} <= found
         assert ("mass", "wheel") in found
         assert ("mass", "tire") not in found
 
     def test_general_structure(self):
-        model = mechanical([1, 1], K=[[2, -1], [-1, 1.0]], damping_ratio=0.01)
+        model = rco.mechanical([1, 1], K=[[2, -1], [-1, 1.0]], damping_ratio=0.01)
         found = listed(model)
         assert ("stiffness", "mass1-mass2") in found
         assert ("stiffness", "mass1") in found  # it stands on a spring
@@ -167,19 +157,19 @@ class TestPlainStateSpace:
 
     def test_wrong_type(self):
         with pytest.raises(ct.ControlArgument, match="StateSpace"):
-            effect_library(np.eye(2))
+            rco.effect_library(np.eye(2))
 
 
 def test_explanations_read_well_everywhere():
     models = [
         TestChain.model,
-        two_tanks(),
-        series_rlc(1.0, 1.0, 1.0),
-        thermal_network([1.0], {(1, 0): 1.0}),
-        quarter_car(250.0, 35.0, 16e3, 1e3, 160e3),
+        rco.two_tanks(),
+        rco.series_rlc(1.0, 1.0, 1.0),
+        rco.thermal_network([1.0], {(1, 0): 1.0}),
+        rco.quarter_car(250.0, 35.0, 16e3, 1e3, 160e3),
     ]
     for model in models:
-        for effect in effect_library(model):
+        for effect in rco.effect_library(model):
             assert effect.place in effect.explanation
             assert effect.explanation.endswith(".")
             assert "{" not in effect.explanation
@@ -187,6 +177,6 @@ def test_explanations_read_well_everywhere():
 
 def test_every_kind_is_offered_somewhere():
     swing = ct.ss([[0, 1], [-9, -1]], [[0], [1]], [[1, 0]], 0, states=["theta", "omega"])
-    models = [TestChain.model, two_tanks(), ct.ss([[-1, 2], [-3, -4]], [[1], [0]], [[1, 0]], 0), swing]
+    models = [TestChain.model, rco.two_tanks(), ct.ss([[-1, 2], [-3, -4]], [[1], [0]], [[1, 0]], 0), swing]
     offered = {kind for model in models for kind, _ in listed(model)}
     assert offered == {name for name, law in KINDS.items() if not (law.on_request or law.needs_law)}

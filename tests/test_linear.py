@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rcorefine.engine import linear
+from rcorefine.engine import march as marching
 from rcorefine.engine.inputs import Drive
-from rcorefine.engine.march import Discretized, FieldLaw, MarchResult, MarchState, PortLaws, SensorLaws, march
 
 
 def case(rng, n=3, nw=2, ny=2, N=150, p=4, substeps=1, course=0, pattern="off", radius=0.98):
@@ -45,7 +45,7 @@ def room(given):
     *_, x, S, substeps, far, limit = given
     N, ny = given[2].measured.shape
     y, X = np.full((N, ny), np.nan), np.full((N, len(x)), np.nan)
-    return MarchResult(y, np.zeros((N, ny, len(S))), X, np.zeros((0, 0)), far, limit, substeps)
+    return marching.MarchResult(y, np.zeros((N, ny, len(S))), X, np.zeros((0, 0)), far, limit, substeps)
 
 
 def in_blocks(*given):
@@ -61,13 +61,15 @@ def sample_by_sample(*given):
     at, drive, corrections, x, S, *_ = given
     into, ny, none = room(given), given[2].measured.shape[1], np.zeros(0, dtype=np.int64)
     nothing = np.full((0, 4), -1), np.full((ny, 4), -1)
-    model = Discretized(
-        at, PortLaws(none, np.zeros((0, 7)), nothing[0], np.zeros(0)),
-        SensorLaws(np.zeros(ny, dtype=np.int64), np.zeros((ny, 4)), nothing[1]),
-        FieldLaw(0, np.zeros((1, 0)), none),
+    model = marching.Discretized(
+        at, marching.PortLaws(none, np.zeros((0, 7)), nothing[0], np.zeros(0)),
+        marching.SensorLaws(np.zeros(ny, dtype=np.int64), np.zeros((ny, 4)), nothing[1]),
+        marching.FieldLaw(0, np.zeros((1, 0)), none),
     )  # fmt: skip
     with np.errstate(all="ignore"):
-        blew_up = march(model, drive, corrections, MarchState(x.copy(), np.zeros(ny), S.copy()), into)
+        blew_up = marching.march(
+            model, drive, corrections, marching.MarchState(x.copy(), np.zeros(ny), S.copy()), into
+        )
     return into.outputs, into.sensitivity, into.states, blew_up
 
 

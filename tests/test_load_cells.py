@@ -3,10 +3,10 @@
 import control as ct
 import numpy as np
 import pytest
+from inner import as_physical
 from scipy.integrate import solve_ivp
 
 import rcorefine as rco
-from rcorefine.models.conversion import as_physical
 
 M, C, K, DT = (1.2, 0.7), (1.1, 0.9), (160.0, 90.0), 0.02
 NAMES = {"states": ["x1", "x2", "v1", "v2"], "inputs": ["F"], "outputs": ["cell", "pos"]}

@@ -3,12 +3,11 @@
 import control as ct
 import numpy as np
 import pytest
+from inner import main, read_model
 from scipy.io import mmwrite
 from scipy.sparse import coo_matrix
 
 import rcorefine as rco
-from rcorefine.commands.cli import main
-from rcorefine.models.reading import read_model
 
 A, B, C = np.array([[0.0, 1.0], [-4.0, -0.4]]), np.array([[0.0], [2.0]]), np.array([[1.0, 0.0]])
 LABELS = 'inputs = ["u"]\noutputs = ["y"]\nstates = ["x", "v"]\n'

@@ -3,12 +3,12 @@
 import control as ct
 import numpy as np
 import pytest
+from inner import read_model
 from scipy.io import mmwrite
 from scipy.linalg import eigh
 from scipy.sparse import coo_matrix, csr_matrix, diags, kron
 
 import rcorefine as rco
-from rcorefine.models.reading import read_model
 
 
 def plate(side=16, foundation=0.0, seed=None):

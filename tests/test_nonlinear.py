@@ -5,12 +5,10 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from inner import Engine, Structure, nonlinear_system
 
 import rcorefine as rco
 from rcorefine import Effect, Measurement, ModelError
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.nonlinear import nonlinear_system
-from rcorefine.engine.structure import Structure
 
 STEP, N = 0.05, 160
 A = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-65, 25, -0.6, 0.3], [35.7, -35.7, 0.43, -0.43]])

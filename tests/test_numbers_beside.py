@@ -5,6 +5,7 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from cases import few_or_all, offered
 from hidden.generator import Law, held_motion, hidden_record
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, dlsim
@@ -81,10 +82,11 @@ def test_law_is_named_beside_numbers_that_are_off(law: str, size: float) -> None
     assert np.all(better.fit > 97)  # noise of 1 % leaves a fit of 99
 
 
-def test_improve_lets_the_numbers_float_and_adds_the_law() -> None:
+@pytest.mark.parametrize("kinds", few_or_all("stiffness", "damping", "cubic_stiffness", "coulomb_friction"))
+def test_improve_lets_the_numbers_float_and_adds_the_law(kinds: tuple[str, ...] | None) -> None:
     """The error falls to the noise, of 1 % of each output; a model without either keeps some 80 % of it."""
     record = hidden(7, "cubic_stiffness")
-    found = rco.improve(PLAIN, record)
+    found = rco.improve(PLAIN, record, candidates=offered(PLAIN, kinds))
     assert found.verdict == "adequate"
     assert [step.action for step in found.steps] == ["start", "parameters", "add"]
     effect = found.steps[-1].effect

@@ -8,19 +8,14 @@ from typing import Any
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
+from inner import Case, Engine, Progress, Search, Structure, base_fit
 from scipy.signal import cont2discrete, dlsim
 from scipy.stats import binom, chi2, norm
 
 import rcorefine as rco
-from rcorefine.diagnosis.case import Case
+from rcorefine.diagnosis import words
 from rcorefine.diagnosis.nuisances import with_fitting_priors
-from rcorefine.diagnosis.search import Search
-from rcorefine.diagnosis.words import determined, fewest_changes, numbers_that_moved, others_nominal
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.inference.parameters import EstimatedParameter
-from rcorefine.progress import Progress
-from rcorefine.refinement.refine import base_fit
 
 M, C, K = (1.0, 0.6), (0.4, 0.3), (120.0, 90.0)  # two masses on the ground and on each other
 FACTORS = {"m2": 0.97, "k1": 1.03, "k2": 0.98, "c1": 1.04}
@@ -59,7 +54,9 @@ BUILT = rco.mass_spring_damper(M, C, K)
 PLAIN = ct.ss(*matrices(), np.eye(4)[:2], np.zeros((2, 1)), states=["q1", "q2", "v1", "v2"])
 
 
-@pytest.mark.parametrize("model", [BUILT, PLAIN], ids=["built", "plain"])
+@pytest.mark.parametrize(
+    "model", [pytest.param(BUILT, id="built"), pytest.param(PLAIN, id="plain", marks=pytest.mark.slow)]
+)
 def test_numbers_that_are_off_are_no_missing_law(model: object) -> None:
     found = rco.diagnose(model, record(1, **FACTORS))
     assert found.verdict == "parameters"
@@ -83,24 +80,26 @@ def test_numbers_that_are_off_are_no_missing_law(model: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "factors",
+    ("factors", "count"),
     [
-        pytest.param({"m2": 0.93, "k1": 1.12, "c1": 1.25}, id="off"),
-        pytest.param({"m2": 0.8, "k1": 1.2, "c1": 1.6}, marks=pytest.mark.slow, id="far"),
+        ({"m2": 0.93, "k1": 1.12, "c1": 1.25}, 1),
+        *slow(({"m2": 0.93, "k1": 1.12, "c1": 1.25}, 4), ({"m2": 0.8, "k1": 1.2, "c1": 1.6}, 4)),
     ],
 )
-def test_numbers_beyond_their_prior_are_found_and_not_pulled_back(factors: dict[str, float]) -> None:
+def test_numbers_beyond_their_prior_are_found_and_not_pulled_back(
+    factors: dict[str, float], count: int
+) -> None:
     z = []
     kinds = ("stiffness", "damping", "mass", "cubic_stiffness", "coulomb_friction")  # all laws: above
     laws = [effect for effect in rco.effect_library(BUILT) if effect.kind in kinds]
-    for seed in range(40, 44):
+    for seed in range(40, 40 + count):
         found = rco.diagnose(BUILT, record(seed, **factors), candidates=laws)
         assert found.verdict == "parameters"
         by_name = {row.name: row for row in found.parameters}
         for name in ("m1", "m2", "c1", "c2", "k1", "k2"):
             row = by_name[name]
             z.append((row.value / row.initial - factors.get(name, 1.0)) / (row.std / row.initial))
-    assert np.max(np.abs(z)) < norm.isf(0.005 / 24)
+    assert np.max(np.abs(z)) < norm.isf(0.005 / len(z))
     assert np.sum(np.square(z)) < chi2.isf(0.005, len(z))
 
 
@@ -123,7 +122,7 @@ def test_changes_given_that_others_are_nominal(rng: np.random.Generator) -> None
     white = np.linalg.cholesky(np.linalg.inv(C)).T
     for free in ([1], [0, 3]):
         solution, left, *_ = np.linalg.lstsq(white[:, free], white @ change, rcond=None)
-        p, value, std = others_nominal(change, C, free)
+        p, value, std = words.others_nominal(change, C, free)
         assert p == pytest.approx(chi2.sf(left[0], 5 - len(free)))
         np.testing.assert_allclose(value, solution, rtol=1e-9)
         information = white[:, free].T @ white[:, free]
@@ -134,10 +133,10 @@ def test_two_parameters_of_which_the_product_is_known_are_both_said() -> None:
     """The sum of the first two logarithms is known to 1e-4; one of them changed by 0.2."""
     apart = np.array([1.0, -1.0, 0.0])
     C = 0.005 * np.outer(apart, apart) + 1e-8 * np.eye(3)
-    sets = {tuple(free): value for free, value, _ in fewest_changes(np.array([0.1, 0.1, 0.0]), C)}
+    sets = {tuple(free): value for free, value, _ in words.fewest_changes(np.array([0.1, 0.1, 0.0]), C)}
     assert sets.keys() == {(0,), (1,)}
     np.testing.assert_allclose(list(sets.values()), 0.2, rtol=1e-5)
-    assert not fewest_changes(np.array([1.0, 2.0, 3.0, 4.0, 5.0]), 1e-4 * np.eye(5))
+    assert not words.fewest_changes(np.array([1.0, 2.0, 3.0, 4.0, 5.0]), 1e-4 * np.eye(5))
 
 
 def asked(base: rco.Refinement, data: rco.Measurement) -> Search:
@@ -167,7 +166,7 @@ def test_every_parameter_of_a_plain_model_is_estimated() -> None:
     names = {row.name for row in found.parameters}
     assert names >= {"m[q1]", "m[q2]", "k[q1]", "c[q1]", "gain[u[0]]"}
     assert found.floated is not None
-    quotient = {row.name: row for row in determined(found.floated)}["k[q1] / m[q1]"]
+    quotient = {row.name: row for row in words.determined(found.floated)}["k[q1] / m[q1]"]
     assert abs(quotient.value - 1.12) < 4 * quotient.std < 0.02
     single = next(row for row in found.parameters if row.name == "k[q1]")
     assert single.std / single.initial > 0.01  # it may be off as a whole with all the others
@@ -192,9 +191,11 @@ def chain(m1: float, m2: float, c1: float, c2: float, k1: float, k2: float) -> c
     ("plant", "names", "dt"),
     [
         (lambda f: oscillator(0.5 * f[0], 25 * f[1], 0.4 * f[2], f[3]), "m[x] k[x] c[x] gain[u[0]]", 0.02),
-        (lambda f: motor(*f), "J b L R", 0.002),
-        (lambda f: chain(*f), "m[q1] m[q2] c[q1] c[q1-q2] k[q1] k[q1-q2]", 0.03),
-        (lambda f: rco.series_rlc(10 * f[0], 0.1 * f[1], 1e-3 / f[2]), "R L 1/C", 0.002),
+        *slow(
+            (lambda f: motor(*f), "J b L R", 0.002),
+            (lambda f: chain(*f), "m[q1] m[q2] c[q1] c[q1-q2] k[q1] k[q1-q2]", 0.03),
+            (lambda f: rco.series_rlc(10 * f[0], 0.1 * f[1], 1e-3 / f[2]), "R L 1/C", 0.002),
+        ),
     ],
     ids=["oscillator", "motor", "chain", "circuit"],
 )
@@ -232,6 +233,7 @@ def test_a_single_spring_keeps_its_name() -> None:
     assert found.parameters == ()
 
 
+@pytest.mark.slow  # a parameters-only improvement by default: test_weights.py
 def test_improve_fits_the_numbers_and_adds_no_law() -> None:
     ladder = rco.improve(BUILT, record(5, n=2000, **FACTORS))
     assert [step.action for step in ladder.steps] == ["start", "parameters"]
@@ -241,7 +243,7 @@ def test_improve_fits_the_numbers_and_adds_no_law() -> None:
     assert np.all(last.validation_rmse < first.validation_rmse)
 
 
-@pytest.mark.parametrize("slow", [0.002, -0.003])
+@pytest.mark.parametrize("slow", [0.002, *slow(-0.003)])
 def test_a_clock_that_is_off_is_found_as_such(slow: float) -> None:
     true = record(6, dt=0.03 * (1 + slow), n=1500)
     data = rco.Measurement(true.inputs, true.outputs, dt=0.03)
@@ -290,11 +292,11 @@ def test_numbers_that_leave_most_of_the_record_do_not_explain_it():
 
 def test_numbers_that_moved_far_may_stand_in_for_a_law():
     def row(value, std):
-        return EstimatedParameter("k", "stiffness", "q1", 100.0, value, value - 100.0, std, "", "linear")
+        return rco.EstimatedParameter("k", "stiffness", "q1", 100.0, value, value - 100.0, std, "", "linear")
 
-    assert "stand in" not in numbers_that_moved([row(125.0, 1.0)])
-    assert "stand in" not in numbers_that_moved([row(140.0, 5.0)])  # 40 +- 15 %: not for certain
-    assert "The change of k is so large" in numbers_that_moved([row(40.0, 3.0)])
+    assert "stand in" not in words.numbers_that_moved([row(125.0, 1.0)])
+    assert "stand in" not in words.numbers_that_moved([row(140.0, 5.0)])  # 40 +- 15 %: not for certain
+    assert "The change of k is so large" in words.numbers_that_moved([row(40.0, 3.0)])
 
 
 def test_the_table_shows_what_was_known_before_the_record():

@@ -1,11 +1,11 @@
 """Places that stay in the race where a structure has many."""
 
 import numpy as np
+from inner import fitted_from
 from scipy.linalg import expm
 
 import rcorefine as rco
 from rcorefine.diagnosis.residual_tests import in_race
-from rcorefine.inference.fitted import fitted_from
 
 
 def chain(n, links):

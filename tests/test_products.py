@@ -3,18 +3,11 @@
 import control as ct
 import numpy as np
 import pytest
+from inner import KINDS, Engine, Structure, as_physical, nonlinear_system
 from scipy.integrate import solve_ivp
 
 import rcorefine as rco
-from rcorefine.diagnosis.case import candidates_of, not_tried
-from rcorefine.effects.effect import Effect
-from rcorefine.effects.law import KINDS
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.nonlinear import nonlinear_system
-from rcorefine.engine.structure import Structure
-from rcorefine.exceptions import ModelError
-from rcorefine.models.conversion import as_physical
-from rcorefine.models.library import effect_library
+from rcorefine.diagnosis import case
 
 A, B = np.array([[-0.4, 0.1], [0.3, -0.5]]), np.array([[0.6, 0.0], [0.0, 0.5]])
 STORES = ct.ss(A, B, np.eye(2), 0, states=["h1", "h2"], inputs=["q1", "q2"], outputs=["y1", "y2"])
@@ -29,22 +22,22 @@ PRODUCTS = ("state_dependent_gain", "product_of_states")
     ("effects", "theta", "truth"),
     [
         (
-            [Effect("state_dependent_gain", "B[0,0]")],
+            [rco.Effect("state_dependent_gain", "B[0,0]")],
             [-0.08, 0.02],
             lambda x, w: A @ x + B @ w + [(-0.08 * x[0] + 0.02 * x[0] ** 2) * w[0], 0.0],
         ),
         (  # by labels, and where the model has nothing
-            [Effect("state_dependent_gain", "B[h2,q1]")],
+            [rco.Effect("state_dependent_gain", "B[h2,q1]")],
             [0.1, 0.0],
             lambda x, w: A @ x + B @ w + [0.0, 0.1 * x[1] * w[0]],
         ),
         (
-            [Effect("product_of_states", "A[1,0]")],
+            [rco.Effect("product_of_states", "A[1,0]")],
             [0.25, -0.1],
             lambda x, w: A @ x + B @ w + [0.0, (0.25 - 0.1 * x[1]) * x[1] * x[0]],
         ),
         (  # beside another loss: the rate is that with it
-            [Effect("state_dependent_store", "h1"), Effect("coefficient", "A[0,0]")],
+            [rco.Effect("state_dependent_store", "h1"), rco.Effect("coefficient", "A[0,0]")],
             [-0.2, 0.03, -0.3],
             lambda x, w: (A @ x + B @ w - [0.3 * x[0], 0.0]) / [1 - 0.2 * x[0] + 0.03 * x[0] ** 2, 1.0],
         ),
@@ -58,7 +51,7 @@ def test_right_hand_sides(effects, theta, truth, rng):
 
 def test_a_mass_carries_its_displacement_into_the_gain(rng):
     system = nonlinear_system(
-        Structure(ARM, [Effect("state_dependent_gain", "B[1,0]")]), np.array([2.0, 5.0])
+        Structure(ARM, [rco.Effect("state_dependent_gain", "B[1,0]")]), np.array([2.0, 5.0])
     )
     for q, v, w in rng.normal(size=(5, 3)):
         rate = [v, -25 * q - 3 * v + (25 + 2 * q + 5 * q * q) * w]
@@ -67,8 +60,8 @@ def test_a_mass_carries_its_displacement_into_the_gain(rng):
 
 @pytest.mark.parametrize("place", ["C[0,0]", "A[0,0]", "A[1,0]", "B[0,9]"])
 def test_a_gain_sits_at_entries_of_the_input_matrix(place):
-    with pytest.raises(ModelError):
-        as_physical(STORES).check(Effect("state_dependent_gain", place))
+    with pytest.raises(rco.ModelError):
+        as_physical(STORES).check(rco.Effect("state_dependent_gain", place))
 
 
 def coil(u, dt, slope, curvature):
@@ -89,7 +82,7 @@ def test_motion_and_derivatives_of_a_coil(rng):
     truth = coil(u, dt, -0.08, 0.004)
     data = rco.Measurement(dt=dt, inputs=u, outputs=truth, input_labels=["u"], output_labels=["y"])
     wrong = ct.ss([[-1.5 * R / L]], COIL.B, COIL.C, 0, states=["i"], inputs=["u"], outputs=["y"])
-    effects = [Effect("state_dependent_store", "i"), Effect("damping", "i")]
+    effects = [rco.Effect("state_dependent_store", "i"), rco.Effect("damping", "i")]
     engine = Engine(Structure(wrong, effects), data, substeps=8, initial=np.zeros(1))
     theta = np.array([-0.08, 0.004, -0.5 * R])  # forces are in units of the voltage
     run = engine.run(theta)
@@ -102,7 +95,7 @@ def test_motion_and_derivatives_of_a_coil(rng):
 
 
 def kinds(model, **options):
-    return {(effect.kind, effect.place) for effect in effect_library(model, **options)}
+    return {(effect.kind, effect.place) for effect in rco.effect_library(model, **options)}
 
 
 def test_what_plain_stores_and_speeds_offer():
@@ -131,8 +124,8 @@ def test_a_network_does_not_flood(rng):
 def test_what_is_not_tried_is_said(model, rng):
     inputs, outputs = rng.normal(size=(model.ninputs, 9)), rng.normal(size=(model.noutputs, 9))
     physical, data = as_physical(model), rco.Measurement(dt=0.1, inputs=inputs, outputs=outputs)
-    tried = candidates_of(physical)
-    said = not_tried(physical, tried, [data]).removeprefix("Not tried: ").partition(". ")[0].split(", ")
+    tried = case.candidates_of(physical)
+    said = case.not_tried(physical, tried, [data]).removeprefix("Not tried: ").partition(". ")[0].split(", ")
     every = [kind for kind, law in KINDS.items() if not (law.needs_law or law.is_parameter)]
     fitting = {kind for kind, _ in kinds(model, kinds=every)} - {effect.kind for effect in tried}
     # a power is no effect of an input that changes its sign; a differenced speed is asked for beside these
@@ -146,6 +139,6 @@ def test_a_coil_that_saturates_is_named(rng):
     y = y + 0.01 * y.std() * rng.normal(size=y.size)
     data = rco.Measurement(dt=dt, inputs=u, outputs=y, input_labels=["u"], output_labels=["y"])
     found = rco.diagnose(COIL, data)
-    assert found.best.effect == Effect("state_dependent_store", "i")
+    assert found.best.effect == rco.Effect("state_dependent_store", "i")
     row = found.best
     assert abs(row.coefficients["slope"] + 0.08) < 4 * row.std["slope"]

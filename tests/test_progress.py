@@ -9,9 +9,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from hidden.generator import Law, held_motion
+from inner import Progress
 
 import rcorefine as rco
-from rcorefine.progress import Progress
 
 LAWS = [rco.Effect(kind, "link1") for kind in ("stiffness", "damping", "cubic_stiffness")]
 

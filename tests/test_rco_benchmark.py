@@ -9,9 +9,9 @@ import importlib.util
 from pathlib import Path
 
 import pytest
+from inner import NUMBA
 
 import rcorefine as rco
-from rcorefine.jit import NUMBA
 
 SCRIPT = Path(__file__).parents[1] / "benchmarks" / "stage_one.py"
 

@@ -8,14 +8,13 @@ from typing import Any
 import control as ct
 import numpy as np
 import pytest
+from inner import LinearModel
 from test_rco_refiner import DT, SETTINGS, damaged, record_of, state_of, two_by_two
 
 import rcorefine as rco
-from rcorefine.streaming import RCORefiner
 from rcorefine.streaming.history import poles_of
 from rcorefine.streaming.rcmr.kernels import Plant
 from rcorefine.streaming.rcmr.setup import explain
-from rcorefine.systems.linear import LinearModel
 
 N = 150
 
@@ -26,9 +25,9 @@ def data() -> rco.Measurement:
 
 
 @pytest.fixture(params=[20, 100], ids=["held back", "learning"])
-def refiner(request: pytest.FixtureRequest, data: rco.Measurement) -> RCORefiner:
+def refiner(request: pytest.FixtureRequest, data: rco.Measurement) -> rco.RCORefiner:
     """A refiner before and after its scales are known."""
-    made = RCORefiner(two_by_two(), dt=DT, history=True, **SETTINGS)
+    made = rco.RCORefiner(two_by_two(), dt=DT, history=True, **SETTINGS)
     made.update(data.inputs[:, : request.param], data.outputs[:, : request.param])
     return made
 
@@ -66,7 +65,7 @@ BAD_BLOCKS: dict[str, tuple[Any, type[Exception], str]] = {
 
 
 @pytest.mark.parametrize("case", BAD_BLOCKS)
-def test_bad_block(refiner: RCORefiner, data: rco.Measurement, case: str) -> None:
+def test_bad_block(refiner: rco.RCORefiner, data: rco.Measurement, case: str) -> None:
     change, error, message = BAD_BLOCKS[case]
     first = refiner.n_samples
     before = state_of(refiner)
@@ -81,7 +80,7 @@ def test_bad_block(refiner: RCORefiner, data: rco.Measurement, case: str) -> Non
 @pytest.mark.parametrize(
     "w, message", [(np.nan * np.ones((2, 3)), "NaN"), (np.ones((3, 4)), "2 inputs"), ("text", "numbers")]
 )
-def test_bad_prediction(refiner: RCORefiner, w: Any, message: str) -> None:
+def test_bad_prediction(refiner: rco.RCORefiner, w: Any, message: str) -> None:
     with pytest.raises((rco.DataError, ct.ControlDimension, ct.ControlArgument), match=message):
         refiner.predict(w)
 
@@ -126,12 +125,12 @@ def test_bad_prediction(refiner: RCORefiner, w: Any, message: str) -> None:
 )
 def test_bad_settings(settings: dict[str, Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
-        RCORefiner(two_by_two(), **{"dt": DT, **settings})
+        rco.RCORefiner(two_by_two(), **{"dt": DT, **settings})
 
 
 def test_unknown_keyword() -> None:
     with pytest.raises(TypeError, match="windows"):
-        RCORefiner(two_by_two(), dt=DT, windows=3)
+        rco.RCORefiner(two_by_two(), dt=DT, windows=3)
 
 
 @pytest.mark.parametrize(
@@ -145,19 +144,19 @@ def test_unknown_keyword() -> None:
 )
 def test_models_that_are_none(model: Any, advice: str) -> None:
     with pytest.raises(ct.ControlArgument, match=advice):
-        RCORefiner(model, dt=DT)
+        rco.RCORefiner(model, dt=DT)
 
 
 def test_contradictory_dt() -> None:
     with pytest.raises(rco.ModelError, match=r"dt = 0.5 s contradicts model 'chain', which has dt = 0.02"):
-        RCORefiner(two_by_two(DT), dt=0.5)
+        rco.RCORefiner(two_by_two(DT), dt=0.5)
 
 
 # -- records ---------------------------------------------------------------------------------------
 
 
 def test_records_that_do_not_fit(data: rco.Measurement) -> None:
-    made = RCORefiner(two_by_two(), dt=DT, **SETTINGS)
+    made = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS)
     before = state_of(made)
 
     def changed(**fields: Any) -> rco.Measurement:
@@ -204,13 +203,15 @@ def test_channels_are_matched_by_name(data: rco.Measurement) -> None:
         input_labels=["f2", "f1"],
         output_labels=["v2", "v1"],
     )
-    plain = RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(data)
-    np.testing.assert_array_equal(RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(swapped).theta, plain.theta)
+    plain = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(data)
+    np.testing.assert_array_equal(
+        rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(swapped).theta, plain.theta
+    )
 
 
 def test_constant_input_in_a_stream_is_refused_in_the_end(data: rco.Measurement) -> None:
     """A stream may start at rest, but not for ever: 16 warm-ups, then the input is named."""
-    made = RCORefiner(two_by_two(), dt=DT, **SETTINGS)
+    made = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS)
     made.update(np.ones((2, 900)), np.random.default_rng(0).standard_normal((2, 900)))
     assert made.n_learned == 0
     before = state_of(made)
@@ -222,7 +223,7 @@ def test_constant_input_in_a_stream_is_refused_in_the_end(data: rco.Measurement)
 
 def test_unstable_initial_model_is_named() -> None:
     wild = ct.ss([[60.0]], [[1.0]], [[1.0]], [[0.0]])
-    made = RCORefiner(wild, dt=0.1, window=100)
+    made = rco.RCORefiner(wild, dt=0.1, window=100)
     w = np.random.default_rng(0).standard_normal(200)
     with pytest.raises(rco.ModelError, match="unstable"):
         made.update(w, w)
@@ -250,7 +251,7 @@ def nonminimum_phase() -> tuple[ct.StateSpace, rco.Measurement]:
 @pytest.fixture(scope="module")
 def diverging() -> tuple[ct.StateSpace, rco.Measurement, int]:
     model, record = nonminimum_phase()
-    made = RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, history=True)
+    made = rco.RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, history=True)
     with pytest.raises(rco.DivergenceError) as caught:
         made.run(record)
     sample = int(str(caught.value).split("sample ")[1].split(" ")[0])
@@ -261,7 +262,7 @@ def test_divergence_says_when_why_and_what_to_change(
     diverging: tuple[ct.StateSpace, rco.Measurement, int],
 ) -> None:
     model, record, sample = diverging
-    made = RCORefiner(model, **SHORT, learning_rate=1e-3, order=4)
+    made = rco.RCORefiner(model, **SHORT, learning_rate=1e-3, order=4)
     with pytest.raises(rco.DivergenceError) as caught:
         made.run(record)
     message = str(caught.value)
@@ -283,7 +284,7 @@ def test_run_keeps_what_was_learned_before_the_divergence(
     diverging: tuple[ct.StateSpace, rco.Measurement, int],
 ) -> None:
     model, record, sample = diverging
-    made = RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, history=True)
+    made = rco.RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, history=True)
     with pytest.raises(rco.DivergenceError):
         made.run(record)
     assert made.n_learned == sample
@@ -291,7 +292,7 @@ def test_run_keeps_what_was_learned_before_the_divergence(
     assert made.history.n_samples == sample
     assert np.isfinite(made.system.A).all()
     known = {name: getattr(made.scales, name) for name in ("inputs", "outputs", "states", "corrections")}
-    twin = RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, scale=known)
+    twin = rco.RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, scale=known)
     twin.update(record.inputs[:, :sample], record.outputs[:, :sample])
     np.testing.assert_array_equal(twin.theta, made.theta)
 
@@ -300,7 +301,7 @@ def test_update_that_diverges_changes_nothing(
     diverging: tuple[ct.StateSpace, rco.Measurement, int],
 ) -> None:
     model, record, _ = diverging
-    made = RCORefiner(
+    made = rco.RCORefiner(
         model,
         **SHORT,
         learning_rate=1e-3,
@@ -325,7 +326,7 @@ def test_update_that_diverges_changes_nothing(
 
 def test_what_the_message_advises_helps(diverging: tuple[ct.StateSpace, rco.Measurement, int]) -> None:
     model, record, _ = diverging
-    made = RCORefiner(model, window=100, learning_rate=1e-1, order=4, markov=30, history=True).run(record)
+    made = rco.RCORefiner(model, window=100, learning_rate=1e-1, order=4, markov=30, history=True).run(record)
     assert made.history.performance(3000)[0][0] < 0.5
 
 
@@ -335,7 +336,7 @@ def test_an_outlier_is_no_divergence() -> None:
     record = example.record(4000, noise=0.01)
     y = record.outputs.copy()
     y[0, 1500] += 1000.0 * y.std()
-    made = RCORefiner(example.initial, dt=example.dt, history=True, **example.settings)
+    made = rco.RCORefiner(example.initial, dt=example.dt, history=True, **example.settings)
     made.update(record.inputs, y)
     assert made.history.performance(3000)[0][0] < 0.5
 

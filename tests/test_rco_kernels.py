@@ -8,9 +8,10 @@ import tempfile
 
 import numpy as np
 import pytest
+from inner import NUMBA
 
-from rcorefine.jit import NUMBA, _own_folder, by_address, compiled
-from rcorefine.streaming.rcmr.kernels import Design, direct_step, learn
+from rcorefine import jit
+from rcorefine.streaming.rcmr import kernels
 from rcorefine.streaming.rcmr.setup import start
 
 Array = np.ndarray
@@ -28,14 +29,14 @@ def slide_through(
 ) -> tuple[Array, Array]:
     """theta after every sample, from the kernel and in closed form; rows of shape (N, n_y, m)."""
     m = rows.shape[2]
-    design = Design(np.ones((1, n_y, 1)), 1, 0, alpha)
+    design = kernels.Design(np.ones((1, n_y, 1)), 1, 0, alpha)
     stage = start(design, m - 1, 1, window, 2)
     ours, theirs = np.zeros((rows.shape[0], m)), np.zeros((rows.shape[0], m))
     theta = np.zeros(m)
     for k in range(rows.shape[0]):
         new = np.zeros((n_y, stage.theta.size))
         new[:, :m] = rows[k]
-        learn(stage, design, new, offsets[k])
+        kernels.learn(stage, design, new, offsets[k])
         first = max(0, k - window + 1)
         theta = step_by_least_squares(
             rows[first : k + 1].reshape(-1, m), offsets[first : k + 1].ravel(), theta, alpha
@@ -63,11 +64,11 @@ def test_window_slides_as_if_solved_anew(
 def test_digits_do_not_drain_over_a_long_stream(rng: np.random.Generator) -> None:
     """20 000 samples, window energy 1e6 times alpha: the textbook recursion loses 4 digits more."""
     rows, offsets = stream(rng, 20_000, 1, 8)
-    design = Design(np.ones((1, 1, 1)), 1, 0, 1e-3)
+    design = kernels.Design(np.ones((1, 1, 1)), 1, 0, 1e-3)
     stage = start(design, 7, 1, 50, 2)
     theta = np.zeros(8)
     for k in range(rows.shape[0]):
-        learn(stage, design, rows[k], offsets[k])
+        kernels.learn(stage, design, rows[k], offsets[k])
         if k >= rows.shape[0] - 400:  # older steps are forgotten: theta contracts to the window's solution
             theta = step_by_least_squares(rows[k - 49 : k + 1, 0], offsets[k - 49 : k + 1, 0], theta, 1e-3)
     np.testing.assert_allclose(stage.theta, theta, rtol=1e-9)
@@ -87,7 +88,7 @@ def test_outliers_enter_and_leave(rng: np.random.Generator, size: float) -> None
 @pytest.mark.parametrize("alpha", [1e-30, 1e-6, 1.0])
 def test_direct_step_minimizes(rng: np.random.Generator, alpha: float) -> None:
     rows, residual = rng.standard_normal((40, 12)), rng.standard_normal(40)
-    step = direct_step(rows, residual, alpha)
+    step = kernels.direct_step(rows, residual, alpha)
     expected = step_by_least_squares(rows, residual, np.zeros(12), alpha)
     np.testing.assert_allclose(step, expected, rtol=1e-10, atol=1e-13)
 
@@ -96,7 +97,7 @@ def test_direct_step_minimizes(rng: np.random.Generator, alpha: float) -> None:
 @pytest.mark.skipif(not NUMBA, reason="numba is not installed or switched off")
 def test_a_constant_argument_compiles_no_kernel_anew():
     types = importlib.import_module("numba").types
-    kernel = compiled(lambda values, by: values[0] - by)
+    kernel = jit.compiled(lambda values, by: values[0] - by)
     for constant in (types.literal(2), types.literal(3), types.int64):
         within = kernel.get_call_template((types.float64[::1], constant), {})[0]
     assert len(within.cases) == 1
@@ -115,8 +116,8 @@ def test_a_kernel_is_called_by_its_address_with_its_own_types_only():
             raise ValueError("by is zero")
         return int(values[0]) // by
 
-    call, address = by_address(compiled(checked), lambda: (np.zeros(1), 0))
-    caller = compiled(lambda at, values, by: 1 + call(at, values, by))
+    call, address = jit.by_address(jit.compiled(checked), lambda: (np.zeros(1), 0))
+    caller = jit.compiled(lambda at, values, by: 1 + call(at, values, by))
     assert caller(address(), np.array([7.0]), 2) == 4
     with pytest.raises(ValueError, match="by is zero"):
         caller(address(), np.array([7.0]), 0)
@@ -135,15 +136,15 @@ def test_kernels_are_kept_where_neither_package_nor_home_can_be_written_to(monke
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     folder = tmp_path / f"rcorefine-{os.getuid()}"
     for mode, kept in ((0o777, False), (0o700, True)):
-        _own_folder.cache_clear()
+        jit._own_folder.cache_clear()
         folder.mkdir(exist_ok=True)
         folder.chmod(mode)
-        assert compiled(_twice)(2.0) == 4.0
+        assert jit.compiled(_twice)(2.0) == 4.0
         assert any(folder.rglob("*.nbi")) == kept  # not where somebody else could lay down what is run
-    again = compiled(_twice)
+    again = jit.compiled(_twice)
     assert again(3.0) == 6.0
     assert sum(again._cache_hits.values()) == 1
-    _own_folder.cache_clear()
+    jit._own_folder.cache_clear()
 
 
 def _twice(value):

@@ -13,7 +13,6 @@ import pytest
 from literal_rco import Array, Plant, Trace, literal
 
 import rcorefine as rco
-from rcorefine.streaming import RCORefiner
 
 UNIT = {"inputs": 1.0, "outputs": 1.0, "states": 1.0, "corrections": 1.0}
 SETTINGS = {"order": 3, "window": 30, "markov": 1, "learning_rate": 20.0, "static_learning_rate": 5.0}
@@ -69,8 +68,8 @@ def record(model: Plant, seed: int, n_samples: int = N) -> tuple[Array, Array]:
     return w, y + 0.01 * rng.standard_normal(y.shape)
 
 
-def refiner_of(model: Plant, **settings: object) -> RCORefiner:
-    return RCORefiner(
+def refiner_of(model: Plant, **settings: object) -> rco.RCORefiner:
+    return rco.RCORefiner(
         ct.ss(model.A, model.B, model.C, model.D, 0.1),
         correction_input=model.Bu,
         correction_feedthrough=model.Du,

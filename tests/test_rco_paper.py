@@ -6,20 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+from inner import NUMBA, bode_error
 
 import rcorefine as rco
-from rcorefine.jit import NUMBA
-from rcorefine.streaming import RCORefiner
-from rcorefine.systems.response import bode_error
 
 NOMINAL = np.array([55e-3, 23.5e-6])
 # Everything here is a simulation of thousands of samples; without numba fewer seeds have to do.
 SEEDS = 20 if NUMBA else 4
 
 
-def run(example: Any, seed: int, n_samples: int = 4000, noise: float = 0.0, **changes: Any) -> RCORefiner:
+def run(example: Any, seed: int, n_samples: int = 4000, noise: float = 0.0, **changes: Any) -> rco.RCORefiner:
     settings = {**example.settings, **changes}
-    refiner = RCORefiner(example.initial, dt=example.dt, history=True, **settings)
+    refiner = rco.RCORefiner(example.initial, dt=example.dt, history=True, **settings)
     return refiner.run(example.record(n_samples, noise=noise, rng=seed))
 
 
@@ -29,7 +27,7 @@ def circuit(system: Any) -> np.ndarray:
     return np.array([inductance, 1.0 / (inductance * float(np.linalg.det(system.A)))])
 
 
-def errors(example: Any, refiner: RCORefiner) -> tuple[float, float]:
+def errors(example: Any, refiner: rco.RCORefiner) -> tuple[float, float]:
     """Bode error of the initial and of the refined model, sampled as the record is."""
     true = example.true.sample(example.dt)
     return (
@@ -38,7 +36,7 @@ def errors(example: Any, refiner: RCORefiner) -> tuple[float, float]:
     )
 
 
-def static_performance(refiner: RCORefiner) -> float:
+def static_performance(refiner: rco.RCORefiner) -> float:
     """Rms of the parameter stage over std(y), second half of the record."""
     return float(refiner.history.performance(refiner.n_samples // 2)[1][0])
 
@@ -137,7 +135,7 @@ def test_at_5_ms_the_states_of_stage_1_make_no_difference() -> None:
 def test_state_estimates_beat_the_initial_model(example: Any) -> None:
     """Figures 5, 11 and 16: x - x_Delta is smaller than x - x_0 for every state."""
     record = example.record(4000)
-    refiner = RCORefiner(example.initial, dt=example.dt, history=True, **example.settings).run(record)
+    refiner = rco.RCORefiner(example.initial, dt=example.dt, history=True, **example.settings).run(record)
     true = example.simulate(record.inputs).states[:, 2000:]
     initial = example.simulate(record.inputs, model="initial").states[:, 2000:]
     ours = np.sqrt(np.mean((true - refiner.history.x[:, 2000:]) ** 2, axis=1))

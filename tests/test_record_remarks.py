@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cases import sweep
 from scipy.signal import butter, cont2discrete, lfilter
 
 import rcorefine as rco
@@ -46,16 +47,18 @@ def blamed(found):
     return [note.split("hold='")[-1].split("'")[0] for note in notes]
 
 
-@pytest.mark.parametrize("hold", ["zoh", "foh"])
+FAULTS = (
+    {"off": 0.02},
+    {"off": -0.04},
+    {"behind": (4, 0.8)},
+    {"behind": (1, 0.5)},
+    {"off": 0.02, "behind": (2, 0.7)},
+)
+
+
 @pytest.mark.parametrize(
-    "fault",
-    [
-        {"off": 0.02},
-        {"off": -0.04},
-        pytest.param({"behind": (4, 0.8)}, marks=pytest.mark.slow),
-        {"behind": (1, 0.5)},
-        pytest.param({"off": 0.02, "behind": (2, 0.7)}, marks=pytest.mark.slow),
-    ],
+    ("hold", "fault"),
+    sweep([("zoh", FAULTS[0]), ("foh", FAULTS[3])], ("zoh", "foh"), FAULTS),
     ids=str,
 )
 def test_what_else_is_wrong_is_not_blamed_on_the_hold(hold, fault):
@@ -73,6 +76,7 @@ def test_a_wrong_hold_is_still_said(declared, true):
     assert blamed(rco.diagnose(*record(8, declared, true))) == [true]
 
 
+HOLDS = ("zoh", "foh", "bandlimited")
 MODEL = rco.mass_spring_damper([1.0], [0.6], [90.0], sensors="displacement")
 LAWS = [rco.Effect(kind, "link1") for kind in ("stiffness", "cubic_stiffness")]
 
@@ -86,8 +90,10 @@ def coarse(hold, seed, noise=0.01):
     return rco.Measurement(w, y + noise * y.std() * rng.standard_normal(y.size), dt=0.095, hold=hold)
 
 
-@pytest.mark.parametrize("true", ["zoh", "foh", "bandlimited"])
-@pytest.mark.parametrize("declared", ["zoh", "foh", "bandlimited"])
+@pytest.mark.parametrize(
+    ("declared", "true"),
+    sweep([("zoh", "foh"), ("foh", "bandlimited"), ("bandlimited", "zoh"), ("foh", "foh")], HOLDS, HOLDS),
+)
 def test_the_hold_of_the_record_is_found(true, declared):
     data = coarse(true, 3).with_hold(declared)
     found = rco.diagnose(MODEL, data, candidates=LAWS)

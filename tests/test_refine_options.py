@@ -11,13 +11,13 @@ from dataclasses import replace
 import control as ct
 import numpy as np
 import pytest
+from inner import stable_model
 from scipy.integrate import solve_ivp
 from scipy.signal import freqz
 from test_refine import STEP, chain, held_response
 
 import rcorefine as rco
 from rcorefine import DataError, Effect, IdentifiabilityWarning, Measurement, ModelError, refine
-from rcorefine.inference.covariance import stable_model
 
 N = 800
 

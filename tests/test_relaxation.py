@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cases import slow
 
 import rcorefine as rco
 
@@ -38,7 +39,7 @@ def mount(rng, extra, N=500, dt=0.01):
     return model, data
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("side", [-1.0, *slow(1.0)])
 def test_a_stop_on_one_side(rng, side):
     model, data = mount(rng, lambda x: (3e4 * side * max(side * x[0] - 0.006, 0.0), 0.0))
     found = rco.diagnose(model, data)

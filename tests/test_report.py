@@ -14,9 +14,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from chromium_pipe import CHROMIUM, Browser
+from inner import Page, write_page
 
 import rcorefine as rco
-from rcorefine.views.page import Page, write_page
 
 EVIL = "<img src=x onerror=alert(1)> & \"co\" 'x'"
 

@@ -6,12 +6,11 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from inner import LinearModel
 
-from rcorefine import Measurement, compare, physical, refine
-from rcorefine.data.frequency_response import FrequencyResponse
-from rcorefine.systems.linear import LinearModel
+import rcorefine as rco
+from rcorefine import Measurement, compare, physical, refine, views
 from rcorefine.systems.response import as_sampled
-from rcorefine.views import bode_comparison, html_table, text_table
 
 DT = 0.1
 
@@ -37,7 +36,7 @@ def record(system, n=2000, noise=0.02, hold="zoh", **options):
 
 def test_text_table_is_never_wider_than_asked():
     rows = [["a very long name " * 8, "Q" * 80, "123.4", "-0.000123"]]
-    table = text_table(
+    table = views.text_table(
         ["model", "output", "fit", "RMSE"], rows, title="T " * 60, notes=["note " * 40], left=2
     )
     assert max(len(line) for line in table.splitlines()) <= 80
@@ -48,21 +47,21 @@ def test_text_table_is_never_wider_than_asked():
 def test_text_that_stands_in_every_row_is_told_once_before_names_are_cut(monkeypatch):
     names = ["a name of twenty-four letters", "another of some more letters"]
     rows = [[name, "resistor_voltage", "V", "1.25"] for name in names]
-    wide = text_table(["model", "output", "unit", "fit"], rows, left=3)
+    wide = views.text_table(["model", "output", "unit", "fit"], rows, left=3)
     monkeypatch.setattr("rcorefine.views.tables.WIDTH", 50)
-    lines = text_table(["model", "output", "unit", "fit"], rows, title="two", left=3).splitlines()
+    lines = views.text_table(["model", "output", "unit", "fit"], rows, title="two", left=3).splitlines()
     assert lines[:2] == ["two", "output: resistor_voltage, unit: V"]
     assert [line.split("  ")[0] for line in lines[4:]] == names
     assert "output:" not in wide
 
 
 def test_text_table_columns_line_up():
-    lines = text_table(["m", "fit"], [["a", "1.0"], ["long", "100.0"]]).splitlines()
+    lines = views.text_table(["m", "fit"], [["a", "1.0"], ["long", "100.0"]]).splitlines()
     assert lines == ["m       fit", "----  -----", "a       1.0", "long  100.0"]
 
 
 def test_html_table_escapes_everything():
-    table = html_table(["<h>"], [["<script>alert('x')</script>"]], title="<t>", notes=["<n> & more"])
+    table = views.html_table(["<h>"], [["<script>alert('x')</script>"]], title="<t>", notes=["<n> & more"])
     assert "<script>" not in table
     for raw in ("<h>", "<t>", "<n>"):
         assert raw not in table
@@ -108,7 +107,9 @@ def test_as_sampled_is_exact_for_both_holds():
 
 
 def test_bode_of_systems_alone_has_two_rows_and_the_right_values():
-    cplt = bode_comparison([("initial", resonant(0.05)), ("refined", resonant(0.2))], omega=[1.0, 3.0, 20.0])
+    cplt = views.bode_comparison(
+        [("initial", resonant(0.05)), ("refined", resonant(0.2))], omega=[1.0, 3.0, 20.0]
+    )
     assert isinstance(cplt, ct.ControlPlot)
     assert cplt.axes.shape == (2, 1)
     line = cplt.lines[0, 0][0]
@@ -122,7 +123,7 @@ def test_bode_of_systems_alone_has_two_rows_and_the_right_values():
 
 def test_bode_with_a_record_has_dots_band_and_error_row():
     data = record(resonant())
-    cplt = bode_comparison([("wrong", resonant(0.3)), ("true", resonant())], data)
+    cplt = views.bode_comparison([("wrong", resonant(0.3)), ("true", resonant())], data)
     assert cplt.axes.shape == (3, 1)
     magnitude, phase, error = cplt.axes[:, 0]
     dots = cplt.lines[0, 0][-1]
@@ -141,7 +142,7 @@ def test_bode_with_a_record_has_dots_band_and_error_row():
 
 def test_phase_stays_within_180_and_lines_break_where_it_wraps():
     third = lag() * resonant() * lag()
-    cplt = bode_comparison([("third", ct.ss(third))], record(ct.ss(third), noise=0.1))
+    cplt = views.bode_comparison([("third", ct.ss(third))], record(ct.ss(third), noise=0.1))
     for line in cplt.lines[1, 0]:
         angle = line.get_ydata()
         assert np.nanmax(np.abs(angle)) <= 180
@@ -152,7 +153,7 @@ def test_phase_stays_within_180_and_lines_break_where_it_wraps():
 
 
 def test_line_styles_tell_curves_apart_without_color():
-    cplt = bode_comparison([(f"m{i}", resonant(0.01 * (i + 1))) for i in range(6)])
+    cplt = views.bode_comparison([(f"m{i}", resonant(0.01 * (i + 1))) for i in range(6)])
     styles = {(str(line.get_linestyle()), str(line._dash_pattern)) for line in cplt.lines[0, 0]}
     assert len(styles) == 6
     assert cplt.figure.get_figwidth() == 7
@@ -160,21 +161,21 @@ def test_line_styles_tell_curves_apart_without_color():
 
 def test_bode_mimo_layout_and_sizes():
     two = ct.ss(-np.eye(2), np.eye(2), [[1.0, 0.2], [0.1, 1.0], [1, 1]], np.zeros((3, 2)))
-    assert bode_comparison([("a", two)]).axes.shape == (6, 2)
+    assert views.bode_comparison([("a", two)]).axes.shape == (6, 2)
     with pytest.raises(ct.ControlDimension, match="'b' has 1 outputs and 1 inputs"):
-        bode_comparison([("a", two), ("b", lag())])
+        views.bode_comparison([("a", two), ("b", lag())])
     with pytest.raises(ValueError, match="nothing to draw"):
-        bode_comparison([])
+        views.bode_comparison([])
     with pytest.raises(ct.ControlArgument, match="FrequencyResponseData"):
-        bode_comparison([("a", ct.frd([1.0, 0.5], [1.0, 2.0]))])
+        views.bode_comparison([("a", ct.frd([1.0, 0.5], [1.0, 2.0]))])
     with pytest.raises(TypeError):
-        bode_comparison([("a", two)], colour="red")
+        views.bode_comparison([("a", two)], colour="red")
 
 
 def test_bode_follows_python_controls_units():
     data = record(resonant())
     with ct.defaults({"freqplot.dB": True, "freqplot.Hz": True, "freqplot.deg": False}):
-        cplt = bode_comparison([("m", resonant())], data, omega=[1.0, 2.0])
+        cplt = views.bode_comparison([("m", resonant())], data, omega=[1.0, 2.0])
     np.testing.assert_allclose(cplt.lines[0, 0][0].get_xdata(), np.array([1.0, 2.0]) / 2 / np.pi)
     expected = 20 * np.log10(np.abs(resonant().sample(DT)(np.exp(1j * np.array([1, 2]) * DT))))
     np.testing.assert_allclose(cplt.lines[0, 0][0].get_ydata(), expected, rtol=1e-8)
@@ -185,31 +186,31 @@ def test_bode_follows_python_controls_units():
 
 def test_python_control_can_draw_on_top():
     data = record(resonant())
-    cplt = bode_comparison([("m", resonant())], data)
+    cplt = views.bode_comparison([("m", resonant())], data)
     count = len(cplt.axes[0, 0].lines)
     ct.bode_plot(resonant(0.5).sample(DT, name="more"), ax=cplt.axes[:2], label="more")
     assert len(cplt.axes[0, 0].lines) > count
     measured = data.frequency_response().frd
     ct.bode_plot(measured, ax=cplt.axes[:2], marker=".", linestyle="none", label="again")
     below = ct.bode_plot(resonant())
-    assert bode_comparison([("m", resonant())], ax=below.axes).figure is below.figure
+    assert views.bode_comparison([("m", resonant())], ax=below.axes).figure is below.figure
 
 
 def test_a_plain_frd_serves_as_measured_response():
     omega = np.geomspace(0.3, 30, 60)
     analog = ct.frd(resonant()(1j * omega), omega, name="analyzer")
-    cplt = bode_comparison([("true", resonant()), ("wrong", resonant(0.3))], analog)
+    cplt = views.bode_comparison([("true", resonant()), ("wrong", resonant(0.3))], analog)
     assert np.max(cplt.lines[2, 0][0].get_ydata()) < 1e-9
     assert "analyzer" in [t.get_text() for t in cplt.legend.get_texts()]
     sampled = record(resonant()).frequency_response().frd
-    bode_comparison([("true", resonant())], sampled)
-    response = FrequencyResponse.from_frd(sampled)
+    views.bode_comparison([("true", resonant())], sampled)
+    response = rco.FrequencyResponse.from_frd(sampled)
     assert "not known" in str(response)
     response.plot()
     with pytest.raises(ct.ControlArgument, match="TransferFunction"):
-        bode_comparison([("true", resonant())], ct.tf(1, [1, 1]))
+        views.bode_comparison([("true", resonant())], ct.tf(1, [1, 1]))
     with pytest.raises(ValueError, match="not positive"):
-        FrequencyResponse.from_frd(ct.frd([1.0, 1.0], [0.0, 1.0]))
+        rco.FrequencyResponse.from_frd(ct.frd([1.0, 1.0], [0.0, 1.0]))
 
 
 def test_static_and_integrating_and_unstable_models_draw():
@@ -218,10 +219,10 @@ def test_static_and_integrating_and_unstable_models_draw():
         ct.ss([[0.0]], [[1.0]], [[1.0]], 0),
         ct.ss([[1.0]], [[1.0]], [[1.0]], 0),
     ]
-    bode_comparison([(f"m{i}", m) for i, m in enumerate(models)])
-    bode_comparison([(f"m{i}", m) for i, m in enumerate(models)], record(lag()))
-    bode_comparison([("d", ct.ss([[0.0]], [[1.0]], [[1.0]], 0, DT))], record(lag()))
-    bode_comparison([], record(lag()))
+    views.bode_comparison([(f"m{i}", m) for i, m in enumerate(models)])
+    views.bode_comparison([(f"m{i}", m) for i, m in enumerate(models)], record(lag()))
+    views.bode_comparison([("d", ct.ss([[0.0]], [[1.0]], [[1.0]], 0, DT))], record(lag()))
+    views.bode_comparison([], record(lag()))
 
 
 # ---------------------------------------------------------------------- keywords

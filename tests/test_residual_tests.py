@@ -10,13 +10,13 @@ from scipy.signal import lfilter
 from statsmodels.tsa.stattools import ccf
 
 import rcorefine as rco
-from rcorefine.comparison import correlogram, model_error
+from rcorefine import comparison
 
 
 def test_cross_correlation_equals_statsmodels_and_the_published_bound():
     rng = np.random.default_rng(2)
     u, e = rng.standard_normal((2, 400))
-    found = correlogram(u, e, 20, probability=0.99)
+    found = comparison.correlogram(u, e, 20, probability=0.99)
     np.testing.assert_allclose(found.correlation[20:], ccf(e, u, adjusted=False)[:21], atol=1e-10)
     np.testing.assert_allclose(found.correlation[:21][::-1], ccf(u, e, adjusted=False)[:21], atol=1e-10)
     # white against white: 2.58 / sqrt(N), MATLAB's 99 % region
@@ -28,7 +28,7 @@ def test_bound_widens_for_colored_signals():
     u, e = (lfilter([1.0], [1.0, -0.9], rng.standard_normal(20_000)) for _ in range(2))
     # sum over lags of 0.9^(2|k|) = (1 + 0.81) / (1 - 0.81)
     expected = stats.norm.isf(0.005) * np.sqrt((1.81 / 0.19) / 20_000)
-    assert correlogram(u, e).bound[0] == pytest.approx(expected, rel=0.1)
+    assert comparison.correlogram(u, e).bound[0] == pytest.approx(expected, rel=0.1)
 
 
 @pytest.mark.slow
@@ -44,7 +44,7 @@ def test_bands_cover_the_truth():
         y = rco.simulate(true, rco.Measurement(w, w, dt=dt), "zero").outputs
         e = lfilter([1.0], [1.0, -0.6], rng.standard_normal(n))
         data = rco.Measurement(w, y + 0.1 * y.std() * e / e.std(), dt=dt)
-        found = model_error(rco.compare(wrong, data, x0="zero"), segment_length=512)
+        found = comparison.model_error(rco.compare(wrong, data, x0="zero"), segment_length=512)
         z = np.exp(1j * found.omega * dt)
         sampled = [s.sample(dt) for s in (true, wrong)]
         G = [

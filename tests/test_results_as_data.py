@@ -6,9 +6,9 @@ import json
 
 import numpy as np
 import pytest
+from inner import Data
 
 import rcorefine as rco
-from rcorefine.results import Data
 from tests import public_calls
 from tests.public_calls import RESULTS
 

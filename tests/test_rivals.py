@@ -5,6 +5,7 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from hidden.generator import Law, excitation, integrate, linear_states, outputs
 from hidden.plants import PLANTS
 from hidden.strong import servo_record
@@ -31,7 +32,7 @@ def friction_record(seed, width, *, samples=1500, noise=0.02):
 
 
 @pytest.mark.filterwarnings("ignore::rcorefine.IdentifiabilityWarning")
-@pytest.mark.parametrize("seed", [3, 4])
+@pytest.mark.parametrize("seed", [3, *slow(4)])
 def test_static_friction_is_never_below_the_moving_one(seed):
     """A force that rises with speed asks for the opposite of Stribeck's law: it ends as plain friction."""
     model, data, _ = friction_record(seed, 0.6)
@@ -55,7 +56,7 @@ def test_the_order_holds_beside_a_fixed_coefficient():
 
 
 @pytest.mark.filterwarnings("ignore::rcorefine.IdentifiabilityWarning")
-@pytest.mark.parametrize("seed", [21, 24])
+@pytest.mark.parametrize("seed", [21, *slow(24)])
 def test_refine_of_a_diagnosis_ends_no_lower_than_the_ranking(seed):
     hidden = servo_record(seed, samples=1500)
     offered = [rco.Effect(kind, "angle") for kind in ("asymmetric_friction", "damping")]
@@ -97,7 +98,7 @@ def test_no_row_is_below_the_model_without_it(servo):
     assert all(row.fit_after >= row.fit_before - 0.05 for row in found.ranking)
 
 
-@pytest.mark.parametrize("seed", [7, 8])
+@pytest.mark.parametrize("seed", [7, *slow(8)])
 def test_a_sensor_in_other_units_is_named(seed):
     """x 1000 behind free initial states: the states that the wrong unit bent held its gain at zero."""
     rng = np.random.default_rng([seed, 84])
@@ -160,7 +161,7 @@ def hardening(cubic):
     return rco.diagnose(plain, rco.Measurement(u, y + noise, dt=dt), candidates=laws, tolerance=0.02), noise
 
 
-@pytest.mark.parametrize("cubic", [1000.0, 3000.0, pytest.param(9000.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cubic", [3000.0, *slow(1000.0, 9000.0)])
 def test_a_strong_law_is_followed_to_its_free_run_and_listed_with_its_fit(cubic):
     found, noise = hardening(cubic)
     (record,) = found.records

@@ -5,13 +5,12 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
+from inner import KINDS, Engine, Structure
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.effects.law import KINDS
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
 
 A = np.array([[0.0, 1.0, 0.0], [-310.0, -0.8, 40.0], [0.0, -3.0, -25.0]])
 B = np.array([[0.0], [0.0], [50.0]])
@@ -70,7 +69,7 @@ def test_laws_and_their_derivatives_against_scipy(kind):
         np.testing.assert_allclose(run.sensitivity[:, :, i], numeric, atol=1e-5 * np.abs(numeric).max())
 
 
-@pytest.mark.parametrize(("kind", "seed"), [("output_smoothing", 2), ("input_smoothing", 3)])
+@pytest.mark.parametrize(("kind", "seed"), [("output_smoothing", 2), *slow(("input_smoothing", 3))])
 def test_smoothing_is_named_in_a_record_that_begins_in_motion(kind, seed):
     place, values, made = CASES[kind]
     u = drawn(seed, 1000)
@@ -85,7 +84,7 @@ def test_smoothing_is_named_in_a_record_that_begins_in_motion(kind, seed):
 
 @pytest.mark.parametrize(
     ("low", "high", "kind"),
-    [(-0.5, 0.9, "output_range"), (-0.5, np.inf, "output_range"), (-0.7, 0.7, "output_saturation")],
+    [(-0.5, np.inf, "output_range"), (-0.7, 0.7, "output_saturation"), *slow((-0.5, 0.9, "output_range"))],
 )
 def test_a_sensor_that_clips_is_named_on_one_side_and_on_both(low, high, kind):
     u = drawn(4)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
+from inner import candidate_columns, estimated_motion, fitted_from, residual_tests
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.diagnosis import residual_tests
-from rcorefine.inference.fitted import fitted_from
-from rcorefine.inference.sensitivities import candidate_columns
-from rcorefine.inference.starts import estimated_motion
 
 HOUSE = ct.ss(
     [[-0.324, 0.216], [0.108, -0.108]], [[1.0], [0.0]], [[1.0, 0.0]], 0,
@@ -36,7 +34,7 @@ def mass_record(
     return rco.Measurement(u, y + 0.01 * y.std() * noise, dt=0.05, input_labels="force", output_labels="x")
 
 
-@pytest.mark.parametrize("n", [60, 140])
+@pytest.mark.parametrize("n", [60, *slow(140)])
 def test_a_short_record_names_what_is_missing_and_nothing_else(n: int) -> None:
     found = rco.diagnose(MASS, mass_record(n, 0, cubic=6000.0))
     tied = {(e.kind, e.place) for e in found.ambiguous}

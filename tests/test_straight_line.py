@@ -7,14 +7,11 @@ from math import atan, sin
 import control as ct
 import numpy as np
 import pytest
+from inner import NUMBA, Engine, Structure
 from numpy import array, cosh
 
 import rcorefine as rco
-from rcorefine.effects.expressions import Tape, Untraceable, as_numbers, tracing
-from rcorefine.effects.right_hand_side import RightHandSide, exact_slopes
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.jit import NUMBA
+from rcorefine.effects import expressions, right_hand_side
 
 AT = np.array([0.3, 0.7, 0.2])
 
@@ -91,8 +88,8 @@ def by_arrays(t, x, u, p):
 )
 def test_slopes_are_those_of_the_function(function):
     """Against differences of the function as it was written, Richardson's, good to 1e-9."""
-    functions = RightHandSide(function, None, ("b",), {}, 2, 0, "this")
-    found = exact_slopes(functions, AT, np.array([0.7]))
+    functions = right_hand_side.RightHandSide(function, None, ("b",), {}, 2, 0, "this")
+    found = right_hand_side.exact_slopes(functions, AT, np.array([0.7]))
 
     def rates(z):
         return np.array(function(0.0, z[:2], z[2:], {"b": 0.7}), dtype=float)
@@ -128,10 +125,10 @@ def swallows(t, x, u, p):
 
 @pytest.mark.parametrize("function", [jumps, branches, solves, counts])
 def test_what_hangs_on_values_is_no_straight_line(function):
-    tape = Tape()
+    tape = expressions.Tape()
     x, u = np.array([tape.symbol("a"), tape.symbol("b")]), np.array([tape.symbol("u")])
     with pytest.raises(TypeError):
-        as_numbers(tracing(function)(0.0, x, u, {}))
+        expressions.as_numbers(expressions.tracing(function)(0.0, x, u, {}))
 
 
 @pytest.mark.filterwarnings("ignore:.*called in Python:rcorefine.RCOWarning")
@@ -194,9 +191,9 @@ def test_code_stays_small():
             total = total + np.sin(x[0] + k)
         return np.array([x[0] * 0.0 + total])
 
-    tape = Tape()
-    with pytest.raises(Untraceable, match="operations"):
-        tracing(long)(0.0, np.array([tape.symbol("x")]), np.zeros(1), {})
+    tape = expressions.Tape()
+    with pytest.raises(expressions.Untraceable, match="operations"):
+        expressions.tracing(long)(0.0, np.array([tape.symbol("x")]), np.zeros(1), {})
 
 
 @pytest.mark.skipif(not NUMBA, reason="nothing is compiled")

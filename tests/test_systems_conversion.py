@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from rcorefine.exceptions import ConversionWarning, ModelError
-from rcorefine.systems import d2c
+import rcorefine as rco
 
 
 @pytest.fixture
@@ -38,7 +37,7 @@ def test_round_trip_of_random_mimo_systems(rng, method):
     for _ in range(40):
         n = int(rng.integers(1, 8))
         plant, units = random_system(rng, n)
-        back = d2c(plant.sample(1.0, method, name="plant"), method)
+        back = rco.d2c(plant.sample(1.0, method, name="plant"), method)
         error = (back.A - plant.A) * units / units[:, None]
         assert np.abs(error).max() < 1e-8
         np.testing.assert_allclose(back.B / units[:, None], plant.B / units[:, None], atol=1e-7)
@@ -51,7 +50,7 @@ def test_agrees_with_harold(rng, harold, method):
     for _ in range(5):
         a = 0.15 * rng.standard_normal((3, 3)) + 0.6 * np.eye(3)
         plant = ct.ss(a, rng.standard_normal((3, 1)), rng.standard_normal((1, 3)), [[0.3]], 0.1)
-        mine = d2c(plant, method)
+        mine = rco.d2c(plant, method)
         state = np.random.get_state()  # noqa: NPY002  harold's logm draws from it
         other = harold.undiscretize(harold.State(plant.A, plant.B, plant.C, plant.D, dt=0.1), method=method)
         np.random.set_state(state)  # noqa: NPY002
@@ -69,7 +68,7 @@ def test_agrees_with_harold(rng, harold, method):
 
 def test_labels_name_and_timebase():
     plant = ct.ss([[0.9]], [[1.0]], [[1.0]], [[0.0]], 0.1, inputs="w", outputs="y", states="q", name="tank")
-    back = d2c(plant)
+    back = rco.d2c(plant)
     assert (back.name, back.dt, back.input_labels, back.output_labels) == ("tank", 0, ["w"], ["y"])
     assert back.state_labels == ["q"]
     assert plant.dt == 0.1
@@ -83,21 +82,21 @@ def test_singular_in_continuous_time():
     a[0, 1] = a[1, 2] = 1.0
     a[3, 3] = -5.0
     plant = ct.ss(a, [[0], [0], [1], [1]], [[1, 0, 0, 1]], 0)
-    back = d2c(plant.sample(0.1))
+    back = rco.d2c(plant.sample(0.1))
     np.testing.assert_allclose(back.A, plant.A, atol=1e-9)
     np.testing.assert_allclose(back.B, plant.B, atol=1e-9)
 
 
 def test_inputs_in_very_different_units():
     plant = ct.ss([[-1.0, 0.3], [-0.2, -2.0]], [[1e-9, 1e7], [2e-9, -3e6]], np.eye(2), 0)
-    back = d2c(plant.sample(0.2))
+    back = rco.d2c(plant.sample(0.2))
     np.testing.assert_allclose(back.B, plant.B, rtol=1e-10)
     np.testing.assert_allclose(back.A, plant.A, rtol=1e-10)
 
 
 @pytest.mark.parametrize("method", ["zoh", "tustin"])
 def test_static_gain(method):
-    back = d2c(ct.ss([], [], [], [[2.0, 3.0]], 0.1), method)
+    back = rco.d2c(ct.ss([], [], [], [[2.0, 3.0]], 0.1), method)
     assert back.dt == 0
     np.testing.assert_array_equal(back.D, [[2.0, 3.0]])
 
@@ -105,14 +104,14 @@ def test_static_gain(method):
 def test_mode_below_nyquist_is_silent_and_exact():
     omega = 0.85 * np.pi
     plant = ct.ss([[0, 1], [-(omega**2), -0.1 * omega]], [[0], [1]], [[1, 0]], 0)
-    np.testing.assert_allclose(d2c(plant.sample(1.0)).A, plant.A, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(rco.d2c(plant.sample(1.0)).A, plant.A, rtol=1e-9, atol=1e-9)
 
 
 def test_mode_near_nyquist_is_doubted_and_its_frequency_named():
     omega = 0.97 * np.pi
     plant = ct.ss([[0, 1], [-(omega**2), -0.02 * omega]], [[0], [1]], [[1, 0]], 0, name="beam")
-    with pytest.warns(ConversionWarning, match=r"'beam' has a mode at 3\.04\d* rad/s") as record:
-        d2c(plant.sample(1.0, name="beam"))
+    with pytest.warns(rco.ConversionWarning, match=r"'beam' has a mode at 3\.04\d* rad/s") as record:
+        rco.d2c(plant.sample(1.0, name="beam"))
     assert record[0].filename == __file__
 
 
@@ -120,7 +119,7 @@ def test_mode_well_above_nyquist_cannot_be_seen():
     # As the docstring says: folded to 2 pi - omega, and nothing betrays it.
     omega = 1.5 * np.pi
     plant = ct.ss([[0, omega], [-omega, 0]], [[0], [1]], [[1, 0]], 0)
-    poles = d2c(plant.sample(1.0)).poles()
+    poles = rco.d2c(plant.sample(1.0)).poles()
     np.testing.assert_allclose(np.sort(np.abs(poles.imag)), [0.5 * np.pi] * 2, rtol=1e-10)
 
 
@@ -131,23 +130,23 @@ def test_mode_well_above_nyquist_cannot_be_seen():
 )
 def test_pole_at_zero_has_no_continuous_equivalent(a):
     n = len(a)
-    with pytest.raises(ModelError, match="pole at zero"):
-        d2c(ct.ss(a, np.ones((n, 1)), np.ones((1, n)), 0, 0.1))
+    with pytest.raises(rco.ModelError, match="pole at zero"):
+        rco.d2c(ct.ss(a, np.ones((n, 1)), np.ones((1, n)), 0, 0.1))
 
 
 def test_negative_real_pole_has_no_real_logarithm():
-    with pytest.raises(ModelError, match=r"pole at -0\.5.*Nyquist frequency 31\.4"):
-        d2c(ct.ss([[-0.5, 1.0], [0.0, 0.3]], [[1], [1]], [[1, 0]], 0, 0.1))
+    with pytest.raises(rco.ModelError, match=r"pole at -0\.5.*Nyquist frequency 31\.4"):
+        rco.d2c(ct.ss([[-0.5, 1.0], [0.0, 0.3]], [[1], [1]], [[1, 0]], 0, 0.1))
 
 
 def test_pole_at_minus_one_has_no_bilinear_equivalent():
-    with pytest.raises(ModelError, match="pole at -1"):
-        d2c(ct.ss([[-1.0]], [[1.0]], [[1.0]], 0, 0.1), "tustin")
+    with pytest.raises(rco.ModelError, match="pole at -1"):
+        rco.d2c(ct.ss([[-1.0]], [[1.0]], [[1.0]], 0, 0.1), "tustin")
 
 
 def test_tustin_takes_the_poles_that_the_hold_refuses():
     plant = ct.ss([[-0.5, 1.0], [0.0, 0.0]], [[1], [1]], [[1, 0]], [[0]], 0.1)
-    back = d2c(plant, "tustin")
+    back = rco.d2c(plant, "tustin")
     again = back.sample(0.1, "tustin")
     np.testing.assert_allclose(again.A, plant.A, atol=1e-12)
     np.testing.assert_allclose(again.C, plant.C, atol=1e-12)
@@ -157,14 +156,14 @@ def test_tustin_takes_the_poles_that_the_hold_refuses():
     "dt, words", [(0, "continuous already"), (True, "no definite sampling time"), (None, r"dt = None")]
 )
 def test_timebases_that_cannot_be_converted(dt, words):
-    with pytest.raises(ModelError, match=words):
-        d2c(ct.ss([[0.5]], [[1.0]], [[1.0]], 0, dt))
+    with pytest.raises(rco.ModelError, match=words):
+        rco.d2c(ct.ss([[0.5]], [[1.0]], [[1.0]], 0, dt))
 
 
 def test_wrong_types():
     with pytest.raises(ct.ControlArgument, match="TransferFunction"):
-        d2c(ct.tf([1.0], [1.0, 0.5], 0.1))
+        rco.d2c(ct.tf([1.0], [1.0, 0.5], 0.1))
     with pytest.raises(ct.ControlArgument, match="not 'foh'"):
-        d2c(ct.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1), "foh")
+        rco.d2c(ct.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1), "foh")
     with pytest.raises(TypeError, match="unexpected keyword"):
-        d2c(ct.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1), mode="zoh")
+        rco.d2c(ct.ss([[0.5]], [[1.0]], [[1.0]], 0, 0.1), mode="zoh")

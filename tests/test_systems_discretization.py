@@ -3,22 +3,23 @@
 import control as ct
 import numpy as np
 import pytest
+from inner import LinearModel, to_discrete
 from scipy import linalg, signal
 
-from rcorefine.exceptions import ModelError
-from rcorefine.systems import LinearModel, check_sampling_time, discretize, to_discrete
+import rcorefine as rco
+from rcorefine import systems
 from rcorefine.systems.discretization import exponential
 
 
 def test_lag_in_closed_form():
     a, b, h = -3.0, 2.0, 0.1
     held = b * np.expm1(a * h) / a
-    phi, g0, g1 = discretize([[a]], [[b]], h)
+    phi, g0, g1 = systems.discretize([[a]], [[b]], h)
     assert phi[0, 0] == pytest.approx(np.exp(a * h), rel=1e-14)
     assert g0[0, 0] == pytest.approx(held, rel=1e-14)
     assert g1[0, 0] == 0.0
     # x(h) = e^{ah} x + int e^{a(h-s)} b (w0 + (w1 - w0) s / h) ds
-    _, g0, g1 = discretize([[a]], [[b]], h, "foh")
+    _, g0, g1 = systems.discretize([[a]], [[b]], h, "foh")
     ramp = b * (np.expm1(a * h) - a * h) / (a**2 * h)
     assert g1[0, 0] == pytest.approx(ramp, rel=1e-12)
     assert g0[0, 0] == pytest.approx(held - ramp, rel=1e-12)
@@ -26,7 +27,7 @@ def test_lag_in_closed_form():
 
 def test_chain_of_integrators_is_exact_although_a_is_singular():
     h = 0.25
-    phi, g0, g1 = discretize(np.eye(3, k=1), [[0.0], [0.0], [1.0]], h, "foh")
+    phi, g0, g1 = systems.discretize(np.eye(3, k=1), [[0.0], [0.0], [1.0]], h, "foh")
     np.testing.assert_allclose(phi, [[1, h, h**2 / 2], [0, 1, h], [0, 0, 1]], rtol=1e-14)
     # A ramp of slope 1 from 0 integrates to t^2/2, t^3/6, t^4/24.
     np.testing.assert_allclose(g1.ravel() * h, [h**4 / 24, h**3 / 6, h**2 / 2], rtol=1e-13)
@@ -39,7 +40,7 @@ def test_against_scipy_for_random_mimo_models(rng, hold):
         n = int(rng.integers(1, 7))
         a = rng.standard_normal((n, n)) - 2 * np.eye(n)
         b = rng.standard_normal((n, 2))
-        phi, g0, g1 = discretize(a, b, 0.2, hold)
+        phi, g0, g1 = systems.discretize(a, b, 0.2, hold)
         ad, bd, _, dd, _ = signal.cont2discrete((a, b, np.eye(n), np.zeros((n, 2))), 0.2, hold)
         np.testing.assert_allclose(phi, ad, rtol=1e-10, atol=1e-12)
         # scipy shifts the state: B = G0 + Phi G1, D = C G1.
@@ -52,7 +53,9 @@ def test_stiff_circuit_agrees_with_its_two_exponentials():
     inductance, capacitance, resistance, h = 2e-6, 1.0, 250.0, 1e-4
     fast = -resistance / inductance
     slow = -1 / (resistance * capacitance)  # to 1e-10 relative
-    phi, g0, _ = discretize([[0, 1], [-1 / (inductance * capacitance), fast]], [[0], [1 / inductance]], h)
+    phi, g0, _ = systems.discretize(
+        [[0, 1], [-1 / (inductance * capacitance), fast]], [[0], [1 / inductance]], h
+    )
     # The fast mode is gone within the sample; what is left is the slow one.
     np.testing.assert_allclose(phi[0], [np.exp(slow * h), np.exp(slow * h) / -fast], rtol=1e-9)
     np.testing.assert_allclose(phi[1], slow * phi[0], rtol=1e-9)
@@ -67,8 +70,8 @@ def test_units_do_not_cost_digits(rng):
     b = rng.standard_normal((5, 2))
     units = 10.0 ** np.array([-6, 3, 0, 5, -4])
     gain = np.array([1e-5, 1e6])
-    phi, g0, g1 = discretize(a, b, 0.1, "foh")
-    scaled = discretize(units[:, None] * a / units, units[:, None] * b * gain, 0.1, "foh")
+    phi, g0, g1 = systems.discretize(a, b, 0.1, "foh")
+    scaled = systems.discretize(units[:, None] * a / units, units[:, None] * b * gain, 0.1, "foh")
     np.testing.assert_allclose(scaled[0], units[:, None] * phi / units, rtol=1e-12)
     np.testing.assert_allclose(scaled[1], units[:, None] * g0 * gain, rtol=1e-12)
     np.testing.assert_allclose(scaled[2], units[:, None] * g1 * gain, rtol=1e-11)
@@ -76,16 +79,16 @@ def test_units_do_not_cost_digits(rng):
 
 def test_two_half_steps_make_a_whole_one(rng):
     a, b = rng.standard_normal((4, 4)), rng.standard_normal((4, 1))
-    phi, g, _ = discretize(a, b, 0.3)
-    half, g_half, _ = discretize(a, b, 0.15)
+    phi, g, _ = systems.discretize(a, b, 0.3)
+    half, g_half, _ = systems.discretize(a, b, 0.15)
     np.testing.assert_allclose(half @ half, phi, rtol=1e-11)
     np.testing.assert_allclose(half @ g_half + g_half, g, rtol=1e-11, atol=1e-14)
 
 
 def test_model_without_states_or_inputs():
-    phi, g0, g1 = discretize(np.zeros((0, 0)), np.zeros((0, 2)), 0.1, "foh")
+    phi, g0, g1 = systems.discretize(np.zeros((0, 0)), np.zeros((0, 2)), 0.1, "foh")
     assert (phi.shape, g0.shape, g1.shape) == ((0, 0), (0, 2), (0, 2))
-    phi, g0, _ = discretize([[-1.0]], np.zeros((1, 0)), 0.1)
+    phi, g0, _ = systems.discretize([[-1.0]], np.zeros((1, 0)), 0.1)
     assert phi[0, 0] == pytest.approx(np.exp(-0.1))
     assert g0.shape == (1, 0)
 
@@ -95,23 +98,23 @@ def test_model_without_states_or_inputs():
     [
         ([[1.0, 2.0]], [[1.0]], 0.1, "zoh", ct.ControlDimension, "square"),
         ([[1.0]], [[1.0], [2.0]], 0.1, "zoh", ct.ControlDimension, "n_w"),
-        ([[np.nan]], [[1.0]], 0.1, "zoh", ModelError, r"A is not finite at \[0, 0\]"),
-        ([[1.0]], [[np.inf]], 0.1, "zoh", ModelError, "B is not finite"),
-        ([[1.0]], [[1.0]], 0.0, "zoh", ModelError, "positive"),
+        ([[np.nan]], [[1.0]], 0.1, "zoh", rco.ModelError, r"A is not finite at \[0, 0\]"),
+        ([[1.0]], [[np.inf]], 0.1, "zoh", rco.ModelError, "B is not finite"),
+        ([[1.0]], [[1.0]], 0.0, "zoh", rco.ModelError, "positive"),
         ([[1.0]], [[1.0]], True, "zoh", ct.ControlArgument, "True"),
         ([[1.0]], [[1.0]], "fast", "zoh", ct.ControlArgument, "fast"),
         ([[1.0]], [[1.0]], 0.1, "bandlimited", ct.ControlArgument, "bandlimited"),
-        ([[1e6]], [[1.0]], 1.0, "zoh", ModelError, "grows beyond"),
+        ([[1e6]], [[1.0]], 1.0, "zoh", rco.ModelError, "grows beyond"),
     ],
 )
 def test_bad_input_is_named(a, b, dt, hold, error, words):
     with pytest.raises(error, match=words):
-        discretize(a, b, dt, hold)
+        systems.discretize(a, b, dt, hold)
 
 
 def test_numpy_numbers_are_sampling_times():
-    assert check_sampling_time(np.float32(0.5)) == 0.5
-    assert check_sampling_time(np.int64(2)) == 2.0
+    assert systems.check_sampling_time(np.float32(0.5)) == 0.5
+    assert systems.check_sampling_time(np.int64(2)) == 2.0
 
 
 def labeled(dt=0):
@@ -157,7 +160,7 @@ def test_to_discrete_takes_over_the_records_timebase(own, dt):
 
 
 def test_contradicting_sampling_times_are_both_named():
-    with pytest.raises(ModelError, match=r"'plant' has dt = 0\.1 s but the record has dt = 0\.2 s"):
+    with pytest.raises(rco.ModelError, match=r"'plant' has dt = 0\.1 s but the record has dt = 0\.2 s"):
         to_discrete(labeled(0.1), 0.2)
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
+from inner import LinearModel, Structure
 
 import rcorefine as rco
 from rcorefine.engine.controlled import runs_away
 from rcorefine.engine.observer import leading_gain
-from rcorefine.engine.structure import Structure
-from rcorefine.systems.linear import LinearModel
 
 MASS = np.array([[1.2, 0.1], [0.1, 0.05]])
 DAMPING, STIFFNESS = np.diag([0.3, 0.01]), np.diag([0.0, -0.981])
@@ -65,7 +65,9 @@ def test_what_is_asked_to_run_freely_does():
         rco.simulate(CART, under_control(0, "dry", samples=3000), "zero")
 
 
-@pytest.mark.parametrize(("law", "verdict"), [("nothing", "adequate"), ("dry", "effect"), ("drag", "effect")])
+@pytest.mark.parametrize(
+    ("law", "verdict"), [("nothing", "adequate"), ("dry", "effect"), *slow(("drag", "effect"))]
+)
 def test_the_verdict(law, verdict):
     found = rco.diagnose(CART, under_control(1, law))
     assert found.verdict == verdict

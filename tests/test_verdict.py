@@ -9,28 +9,30 @@ from typing import Any
 import control as ct
 import numpy as np
 import pytest
+from inner import (
+    Case,
+    Hypothesis,
+    Progress,
+    Search,
+    Start,
+    Whitener,
+    answer,
+    base_fit,
+    candidate_columns,
+    levels,
+)
 from scipy import stats
 from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
-from rcorefine.diagnosis.case import Case
+from rcorefine.diagnosis import nuisances, residual_tests, screening, verdict
 from rcorefine.diagnosis.diagnose import _places
-from rcorefine.diagnosis.hypothesis import Hypothesis, Start
-from rcorefine.diagnosis.nuisances import Hold, Parameters
 from rcorefine.diagnosis.open_law import FreeForces
-from rcorefine.diagnosis.residual_tests import overall, passes
-from rcorefine.diagnosis.screening import Metric, Screen
-from rcorefine.diagnosis.search import Search
-from rcorefine.diagnosis.verdict import Answer, answer, table
 from rcorefine.inference.f_tests import FTest
-from rcorefine.inference.levels import Levels, levels
-from rcorefine.inference.sensitivities import candidate_columns
-from rcorefine.inference.whitening import Whitener
-from rcorefine.progress import Progress
-from rcorefine.refinement.refine import base_fit
+from rcorefine.inference.levels import Levels
 
 NAMES = {"k": "cubic_stiffness", "f": "coulomb_friction", "g": "input_gain", "d": "damping"}
-FLOATED, FOH = frozenset([Parameters(0.2)]), frozenset([Hold("foh")])
+FLOATED, FOH = frozenset([nuisances.Parameters(0.2)]), frozenset([nuisances.Hold("foh")])
 
 
 def f_tests(*p_values: float, equal: float = 1.0) -> list[FTest]:
@@ -38,21 +40,23 @@ def f_tests(*p_values: float, equal: float = 1.0) -> list[FTest]:
 
 
 def test_the_smallest_of_several_tests_counts_as_often_as_there_are_tests() -> None:
-    assert overall(f_tests(0.2, 0.01, 0.5)) == pytest.approx(0.03)
-    assert overall(f_tests(0.9, 0.8)) == 1.0
-    assert overall([*f_tests(0.2), FTest("nothing to test", 0.0, 0, 1e-9, 0.0, 1.0)]) == pytest.approx(0.2)
-    assert overall([]) == 0.0  # what was not tested has not passed
+    assert residual_tests.overall(f_tests(0.2, 0.01, 0.5)) == pytest.approx(0.03)
+    assert residual_tests.overall(f_tests(0.9, 0.8)) == 1.0
+    assert residual_tests.overall(
+        [*f_tests(0.2), FTest("nothing to test", 0.0, 0, 1e-9, 0.0, 1.0)]
+    ) == pytest.approx(0.2)
+    assert residual_tests.overall([]) == 0.0  # what was not tested has not passed
 
 
 def test_chance_fails_as_often_as_the_level_says() -> None:
     rng = np.random.default_rng(1)
-    failed = sum(not passes(f_tests(*rng.random(6)), 0.0, 0.05, Levels()) for _ in range(2000))
+    failed = sum(not residual_tests.passes(f_tests(*rng.random(6)), 0.0, 0.05, Levels()) for _ in range(2000))
     assert failed <= stats.binom.ppf(0.999, 2000, 0.05)
 
 
 def test_a_residual_beyond_the_declared_noise_is_no_noise() -> None:
-    assert passes(f_tests(0.5), 1.19, 0.01, Levels())
-    assert not passes(f_tests(0.5), 1.21, 0.01, Levels())
+    assert residual_tests.passes(f_tests(0.5), 1.19, 0.01, Levels())
+    assert not residual_tests.passes(f_tests(0.5), 1.21, 0.01, Levels())
 
 
 def named_by(letters: str) -> tuple[rco.Effect, ...]:
@@ -67,7 +71,7 @@ def asked(
     unsure: str = "none",
     significance: float = 0.01,
     library: str = "kfgd",
-) -> tuple[Answer, list[Any]]:
+) -> tuple[verdict.Answer, list[Any]]:
     """Answer and table of trials with these log posteriors: effects by letter, + for open parameters."""
     trials = []
     for name, value in values.items():
@@ -83,7 +87,7 @@ def asked(
         determined=lambda trial: trial.name != unsure,
         posterior=lambda trial: trial.value,
     )
-    rows = table(search)
+    rows = verdict.table(search)
     return answer(search, rows, lambda trial: trial.name in passing), rows
 
 
@@ -251,8 +255,8 @@ def test_a_screen_gives_the_least_squares_of_a_set(rng: np.random.Generator) -> 
     search, data, does = static(rng)
     fitted, laws = search.fitted, search.case.library
     scored = candidate_columns(fitted, laws, search.motion, (0.0,))
-    metric = Metric(Whitener.fit(fitted.residuals(), order=0))
-    screen = Screen(fitted, scored, {}, metric, search.motion)
+    metric = screening.Metric(Whitener.fit(fitted.residuals(), order=0))
+    screen = screening.Screen(fitted, scored, {}, metric, search.motion)
     groups = [next(g for g in screen.groups if g.effect == e) for e in laws]
     start = screen.start(groups, False, fitted)
     X = np.column_stack([does["D"], does["gain"], does["free"]])

@@ -5,25 +5,26 @@ import warnings
 
 import pytest
 
-from rcorefine.exceptions import ConversionWarning, IdentifiabilityWarning, RCOWarning, unheard, warn
+import rcorefine as rco
+from rcorefine import exceptions
 
 
 def nested() -> None:
-    with unheard(IdentifiabilityWarning):
-        warn("hidden", IdentifiabilityWarning)
-        warn("other", ConversionWarning)
-        with unheard():
-            warn("hidden", ConversionWarning)
-        warn("other", RCOWarning)
+    with exceptions.unheard(rco.IdentifiabilityWarning):
+        exceptions.warn("hidden", rco.IdentifiabilityWarning)
+        exceptions.warn("other", rco.ConversionWarning)
+        with exceptions.unheard():
+            exceptions.warn("hidden", rco.ConversionWarning)
+        exceptions.warn("other", rco.RCOWarning)
 
 
 def test_categories_and_nesting():
-    with pytest.warns(RCOWarning, match="other") as heard:
+    with pytest.warns(rco.RCOWarning, match="other") as heard:
         nested()
     assert [str(one.message) for one in heard] == ["other", "other"]
     assert heard[0].filename == __file__  # where it was called, not where it stands
-    with pytest.warns(IdentifiabilityWarning, match="again"):
-        warn("again", IdentifiabilityWarning)
+    with pytest.warns(rco.IdentifiabilityWarning, match="again"):
+        exceptions.warn("again", rco.IdentifiabilityWarning)
 
 
 def test_another_thread_is_heard_and_filters_stay():
@@ -31,17 +32,17 @@ def test_another_thread_is_heard_and_filters_stay():
     before, first, second = list(warnings.filters), threading.Event(), threading.Event()
 
     def quiet() -> None:
-        with unheard():
+        with exceptions.unheard():
             first.set()
             second.wait(10)
-            warn("hidden", RCOWarning)
+            exceptions.warn("hidden", rco.RCOWarning)
 
     thread = threading.Thread(target=quiet)
     thread.start()
     first.wait(10)
-    with pytest.warns(RCOWarning, match="said"):
-        warn("said", RCOWarning)
-    with unheard():
+    with pytest.warns(rco.RCOWarning, match="said"):
+        exceptions.warn("said", rco.RCOWarning)
+    with exceptions.unheard():
         second.set()
         thread.join()
     assert list(warnings.filters) == before

@@ -3,12 +3,11 @@
 import control as ct
 import numpy as np
 import pytest
+from cases import few_or_all, offered, slow
+from inner import Engine, Structure
 
 import rcorefine as rco
 from rcorefine import Effect, Measurement
-from rcorefine.engine.engine import Engine
-from rcorefine.engine.structure import Structure
-from rcorefine.exceptions import ModelError
 from rcorefine.models.parameters import independent_parameters
 
 
@@ -139,7 +138,7 @@ def test_units_of_an_entry():
 
 @pytest.mark.parametrize("place", ["B[v1,v]", "C[v1,v]", "D[1,0]", "E[0,0]", "D[0]"])
 def test_what_is_no_entry(place):
-    with pytest.raises(ModelError, match="is no entry of the model"):
+    with pytest.raises(rco.ModelError, match="is no entry of the model"):
         rco.physical(battery()).check(Effect("coefficient", place))
 
 
@@ -166,9 +165,11 @@ def test_a_series_resistance_is_named():
 @pytest.mark.parametrize(
     "model, truth, dt",
     [
-        (battery(), battery(0.055, 0.018, 0.03), 0.5),
         (bicycle(), bicycle(6.6e4, 6.3e4), 0.02),
-        (ct.ss(ct.tf([0.3, 2, 5], [1, 1.2, 9])), ct.ss(ct.tf([0.33, 1.8, 5.3], [1, 1.2, 9])), 0.05),
+        *slow(
+            (battery(), battery(0.055, 0.018, 0.03), 0.5),
+            (ct.ss(ct.tf([0.3, 2, 5], [1, 1.2, 9])), ct.ss(ct.tf([0.33, 1.8, 5.3], [1, 1.2, 9])), 0.05),
+        ),
     ],
 )
 def test_weights_that_are_off_are_numbers(model, truth, dt):
@@ -201,9 +202,10 @@ def test_a_monitor_names_the_resistance_that_grew():
     assert monitor.ranking[0].coefficients["value"] == pytest.approx(-0.003, rel=0.1)
 
 
-def test_an_improvement_by_numbers_alone_is_taken_on():
+@pytest.mark.parametrize("kinds", few_or_all("coefficient", "input_gain", "output_gain"))
+def test_an_improvement_by_numbers_alone_is_taken_on(kinds):
     record = record_of(battery(0.055, 0.018, 0.03), n=1500)
-    found = rco.improve(battery(), record)
+    found = rco.improve(battery(), record, candidates=offered(battery(), kinds))
     assert not found.effects
     assert len(found.steps) == 2
     assert found.to_dict()["next_step"].startswith("better = found.refinement")

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from inner import NUMBA
 
 import rcorefine as rco
-from rcorefine.jit import NUMBA
 
 pytestmark = [
     pytest.mark.numba,

@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from inner import Page, example_csv, write_page
 
 import rcorefine as rco
-from rcorefine.commands.example import example, example_csv
-from rcorefine.views.page import Page, check_target, write_page
+from rcorefine.commands.example import example
+from rcorefine.views.page import check_target
 from rcorefine.writing import replacing
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -5,6 +5,7 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
+from cases import few_or_all, offered
 from scipy.signal import cont2discrete, dlsim
 
 import rcorefine as rco
@@ -31,8 +32,11 @@ def record(
     return rco.Measurement(w, y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape), dt=dt)
 
 
-@pytest.mark.parametrize("model", [bare(), built()], ids=["plain", "builder"])
-def test_a_model_without_damping_is_refined_and_needs_no_effect(model):
+@pytest.mark.parametrize("kinds", few_or_all("stiffness", "damping", "cubic_stiffness", "coulomb_friction"))
+@pytest.mark.parametrize(
+    "model", [pytest.param(built(), id="builder"), pytest.param(bare(), id="plain", marks=pytest.mark.slow)]
+)
+def test_a_model_without_damping_is_refined_and_needs_no_effect(model, kinds):
     data = record(bare(105.0, 0.6), 0.02, 10)
     better = rco.refine(model, data, free="linear")
     found = {row.kind: row for row in better.parameters}
@@ -40,7 +44,7 @@ def test_a_model_without_damping_is_refined_and_needs_no_effect(model):
     scale = found["mass"].value if "mass" in found else 1.0 / found["input_gain"].value
     assert found["damping"].value / scale == pytest.approx(0.6, rel=0.02)
     assert found["stiffness"].value / scale == pytest.approx(105.0, rel=0.002)
-    told = rco.diagnose(model, data)
+    told = rco.diagnose(model, data, candidates=offered(model, kinds))
     assert told.verdict == "parameters"
     assert "0 in the model" in " ".join(str(told).split())
 
@@ -57,7 +61,8 @@ def test_neither_does_a_frequency_response():
     assert abs(row.value - 0.6) < 4 * row.std < 0.05
 
 
-def test_a_chain_without_damping_at_a_link():
+@pytest.mark.parametrize("kinds", few_or_all("stiffness", "damping", "cubic_stiffness", "coulomb_friction"))
+def test_a_chain_without_damping_at_a_link(kinds):
     def chain(between: float, damping: float) -> ct.StateSpace:
         K = np.array([[100.0 + between, -between], [-between, between]])
         A = np.block([[np.zeros((2, 2)), np.eye(2)], [-K, -np.diag([damping, 0.0])]])
@@ -67,7 +72,8 @@ def test_a_chain_without_damping_at_a_link():
     model = chain(200.0, 0.0)
     values = {q.name: q.value for q in rco.physical(model).parameters}
     assert {name for name, value in values.items() if value == 0} == {"c[q1-q2]", "c[q1]"}  # none at q2
-    assert rco.diagnose(model, record(chain(212.0, 0.5), 0.02, 5, 1000)).verdict == "parameters"
+    data = record(chain(212.0, 0.5), 0.02, 5, 1000)
+    assert rco.diagnose(model, data, candidates=offered(model, kinds)).verdict == "parameters"
 
 
 def test_a_choke_without_resistance_and_what_has_no_loss_at_all():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cases import slow
 from hidden.generator import Law, held_motion
 
 import rcorefine as rco
@@ -59,7 +60,7 @@ def test_friction_keeps_its_name_where_the_tachometers_stand_off_zero(
     assert abs(row.coefficients["force"] - FRICTION) < 4 * row.std["force"] + 0.01 * FRICTION
 
 
-@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("seed", [2, *slow(3)])
 def test_offsets_alone_are_no_missing_law(seed: int) -> None:
     assert rco.diagnose(shaft(), rotors(seed, (6.0, -2.0), 0.3, friction=0.0)).verdict == "adequate"
 

@@ -1,6 +1,6 @@
 """pytest plugin for runs without numba: what plain Python is too slow for is skipped, and says so.
 
-RCOREFINE_TEST_SECONDS=3 python -m pytest -p tests.time_limit
+RCOREFINE_TEST_SECONDS=2 python -m pytest -p tests.time_limit
 
 Tests that are known to take longer stand in `slow_in_plain_python.txt` and are not begun; a line is a test,
 with its parameters or for all of them. What does not stand there is stopped after that many seconds of CPU.

@@ -18,10 +18,10 @@ from typing import Any
 import control as ct
 import numpy as np
 import public_calls as calls
+from inner import Data
 from numpydoc.docscrape import NumpyDocString
 
 import rcorefine as rco
-from rcorefine.results import Data
 
 INNER = 4  # attributes in a row that are followed
 

@@ -10,12 +10,11 @@ import control as ct
 import numpy as np
 import pytest
 import scipy.io
+from inner import main, read_model
 
 import rcorefine as rco
 from rcorefine import DataError, Measurement, ModelError
-from rcorefine.commands.cli import main
 from rcorefine.data import formats
-from rcorefine.models.reading import read_model
 
 OURS = (rco.RCOError, ct.ControlArgument, ct.ControlDimension)
 

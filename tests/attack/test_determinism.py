@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from inner import NUMBA
 
 import rcorefine as rco
-from rcorefine.jit import NUMBA
 
 SOFT = {"cubic_stiffness": 20.0}
 HERE = Path(__file__).resolve().parent

@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 import scipy.io
 import test_damaged_files as plain
+from inner import read_model
 
 import rcorefine as rco
 from rcorefine import DataError, Measurement
-from rcorefine.models.reading import read_model
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent

@@ -12,9 +12,9 @@ from pathlib import Path
 import control as ct
 import numpy as np
 import pytest
+from inner import main
 
 import rcorefine as rco
-from rcorefine.commands.cli import main
 
 HOSTILE = {
     "script": "<script>alert(1)</script>",

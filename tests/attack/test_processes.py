@@ -9,8 +9,7 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
-
-from rcorefine.jit import NUMBA
+from inner import NUMBA
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
