@@ -85,98 +85,71 @@ def work_off(
             results[i] = function((task,))[0]
             done(1)
         return
-    _Parcels(function, tasks, results, lost, done).send_to(executor)
+    workers = getattr(executor, "_max_workers", None)
+    ahead = _MANY if workers is None else _AHEAD * workers
+    size = max(1, min(_LARGEST, -(-len(tasks) // _AT_ONCE)))
+    waiting = deque(tuple(range(len(tasks))[i : i + size]) for i in range(0, len(tasks), size))
+    suspects: deque[tuple[int, ...]] = deque()  # under way when a worker died
+
+    def enter(parcel: tuple[int, ...], found: Sequence[Result]) -> None:
+        results.update(zip(parcel, found, strict=True))
+        done(len(parcel))
+
+    def lose(parcel: tuple[int, ...], error: BaseException) -> None:
+        enter(parcel, [lost(tasks[i], error) for i in parcel])
+
+    with ExitStack() as stack:
+        for queue, most in ((waiting, ahead), (suspects, 1)):
+            while queue:
+                failed, broken = _send(function, tasks, executor, queue, most, enter)
+                for parcel, error in failed:
+                    if queue is suspects:
+                        lose(parcel, error)
+                    else:
+                        suspects.extend((i,) for i in parcel)
+                executor = executor if broken is None else _replacement(executor, stack)
+                if executor is None and broken is not None:
+                    for parcel in (*suspects, *waiting):
+                        lose(parcel, broken)
+                    return
 
 
-class _Parcels:
-    """Tasks on their way to workers and back."""
+def _send(
+    function: Any,
+    tasks: Sequence[Any],
+    executor: Any,
+    queue: deque[tuple[int, ...]],
+    most: int,
+    enter: Callable[[tuple[int, ...], Any], None],
+) -> tuple[list[tuple[tuple[int, ...], BaseException]], BrokenExecutor | None]:
+    """Work off a queue until it is empty or the workers break.
 
-    def __init__(self, function: Any, tasks: Any, results: Any, lost: Any, done: Any) -> None:
-        self.function, self.tasks, self.results, self.lost, self.done = function, tasks, results, lost, done
-        size = max(1, min(_LARGEST, -(-len(tasks) // _AT_ONCE)))
-        every = range(len(tasks))
-        self.waiting = deque(tuple(every[i : i + size]) for i in range(0, len(tasks), size))
-        self.running: dict[Future[Any], tuple[int, ...]] = {}
-        self.suspects: deque[tuple[int, ...]] = deque()  # under way when a worker died
-        self.alone: tuple[int, ...] | None = None  # the one of them that has the workers for itself
-
-    def send_to(self, executor: Any) -> None:
-        """Do all of them; on other processes like these where they break."""
-        with ExitStack() as stack:
-            try:
-                while (broken := self._until_it_breaks(executor)) is not None:
-                    executor = _replacement(executor, stack)
-                    if executor is None:
-                        for parcel in (*self.suspects, *self.waiting):
-                            self._lose(parcel, broken)
-                        return
-            finally:
-                for future in self.running:  # where it is interrupted
-                    future.cancel()
-
-    def _until_it_breaks(self, executor: Any) -> BrokenExecutor | None:
-        """Keep the workers busy; returns what broke them."""
-        workers = getattr(executor, "_max_workers", None)
-        most = _MANY if workers is None else _AHEAD * workers
-        while self.waiting or self.running or self.suspects:
-            try:
-                while self.waiting and len(self.running) < most:
-                    self._submit(executor, self.waiting)
-                if self.suspects and not self.running:
-                    self.alone = self._submit(executor, self.suspects)
-            except BrokenExecutor as error:
-                return self._take_in() or error
-            wait(self.running, return_when=FIRST_COMPLETED)
-            if broken := self._take_in():
-                return broken
-        return None
-
-    def _submit(self, executor: Any, queue: deque[tuple[int, ...]]) -> tuple[int, ...]:
-        """Send the first of a queue; it stays there where that fails."""
-        parcel = queue[0]
-        self.running[executor.submit(self.function, tuple(self.tasks[i] for i in parcel))] = parcel
-        return queue.popleft()
-
-    def _take_in(self) -> BrokenExecutor | None:
-        """Collect the finished results, and return the error of broken workers.
-
-        After such an error nothing runs any more. The result is None if no worker broke.
-        """
-        broken = None
-        for future in [future for future in self.running if future.done()]:
-            error = _error_of(future)
-            parcel = self.running.pop(future)
-            if error is None:
-                self._enter(parcel, future.result())
-            elif isinstance(error, KeyboardInterrupt):
-                raise error
-            else:
-                self._doubt(parcel, error)
-            broken = error if isinstance(error, BrokenExecutor) else broken
-        if broken is not None:
-            for parcel in self.running.values():
-                self._doubt(parcel, broken)
-            self.running.clear()
-        return broken
-
-    def _doubt(self, parcel: tuple[int, ...], error: BaseException) -> None:
-        """Schedule a failed task for a second try, or give it up.
-
-        Another task beside it may be the cause, so it is tried once more, alone.
-        """
-        if parcel == self.alone:
-            self._lose(parcel, error)
-        elif len(parcel) > 1:
-            self.waiting.extend((i,) for i in parcel)
-        else:
-            self.suspects.append(parcel)
-
-    def _enter(self, parcel: Sequence[int], found: Sequence[Any]) -> None:
-        self.results.update(zip(parcel, found, strict=True))
-        self.done(len(parcel))
-
-    def _lose(self, parcel: Sequence[int], error: BaseException) -> None:
-        self._enter(parcel, [self.lost(self.tasks[i], error) for i in parcel])
+    Return the parcels that failed with their errors, and what broke the workers.
+    """
+    running: dict[Future[Any], tuple[int, ...]] = {}
+    failed: list[tuple[tuple[int, ...], BaseException]] = []
+    broken: BrokenExecutor | None = None
+    try:
+        while running or (queue and broken is None):
+            while queue and broken is None and len(running) < most:
+                try:
+                    running[executor.submit(function, tuple(tasks[i] for i in queue[0]))] = queue[0]
+                    queue.popleft()
+                except BrokenExecutor as error:
+                    broken = error
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                parcel, fault = running.pop(future), _error_of(future)
+                if fault is None:
+                    enter(parcel, future.result())
+                elif isinstance(fault, KeyboardInterrupt):
+                    raise fault
+                else:
+                    failed.append((parcel, fault))
+                    broken = fault if isinstance(fault, BrokenExecutor) else broken
+    finally:
+        for future in running:  # where it is interrupted
+            future.cancel()
+    return failed, broken
 
 
 def _error_of(future: Future[Any]) -> BaseException | None:
