@@ -35,9 +35,9 @@ ORDER = (
 #: Tokens of code (no docstring, comment, line end) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 7900, "arguments": 2156, "commands": 8329, "comparison": 28171, "data": 25281, "diagnosis": 73404,
-    "effects": 30700, "engine": 50004, "examples": 2261, "exercises": 5074, "explorer": 11520, "export":
-    6216, "fleet": 10358, "inference": 32659, "localization": 11722, "models": 42529, "refinement": 1787,
+    ".": 7900, "arguments": 2156, "commands": 8329, "comparison": 28171, "data": 25265, "diagnosis": 73402,
+    "effects": 30700, "engine": 49984, "examples": 2261, "exercises": 5074, "explorer": 11520, "export":
+    6216, "fleet": 10358, "inference": 32653, "localization": 11722, "models": 42529, "refinement": 1787,
     "streaming": 73542, "systems": 5887, "views": 41342,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and

@@ -156,11 +156,6 @@ class ResponseRecord(FrequencyRecord):
         return np.asarray(parts[:, 0] + 1j * parts[:, 1])
 
     @property
-    def n_balances(self) -> int:
-        """Number of frequencies that may need a harmonic balance."""
-        return self.measured.n_balances
-
-    @property
     def error_units(self) -> tuple[str, ...]:
         """Standard deviations of the noise as units of the error."""
         return ("std",) * self.n_outputs
