@@ -56,14 +56,14 @@ OUTER = {
 #: Tokens of code (no docstring, comment, line end) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 7740, "arguments": 2156, "commands": 8225, "comparison": 28171, "data": 25102, "diagnosis": 74039,
-    "effects": 30700, "engine": 50004, "examples": 2261, "exercises": 4993, "explorer": 11435,
-    "export": 6216, "fleet": 10022, "inference": 32659, "localization": 11722, "models": 42529,
+    ".": 7740, "arguments": 2156, "commands": 8225, "comparison": 28171, "data": 25265, "diagnosis": 74037,
+    "effects": 30700, "engine": 49984, "examples": 2261, "exercises": 4993, "explorer": 11435,
+    "export": 6216, "fleet": 10022, "inference": 32653, "localization": 11722, "models": 42529,
     "refinement": 1787, "streaming": 73542, "systems": 5887, "views": 40376,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.
-COMPLEX, WIDE, TINY = 93, 10, 83
+COMPLEX, WIDE, TINY = 84, 10, 83
 
 
 @functools.cache

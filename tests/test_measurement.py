@@ -343,6 +343,7 @@ def test_frame_columns_and_missing_values():
     with pytest.raises(DataError, match="no column 'x'; there are 't', 'u', 'y', 'z'"):
         Measurement.from_frame(frame, "u", "x", dt=1)
     assert Measurement.from_frame({"u": [1, 2], "y": [3, 4]}, "u", "y", dt=1).n_samples == 2
+    assert Measurement.from_frame({"u [V]": [1, 2], "y": [3, 4]}, "u", "y", dt=1).input_labels == ("u",)
     with pytest.raises(ct.ControlArgument, match="DataFrame"):
         Measurement.from_frame([1, 2], "u", "y", dt=1)
 

@@ -88,33 +88,37 @@ def _places(
 
     Outputs may be missing in the record, inputs not.
     """
-    wanted, present = (getattr(one, f"{what}_labels") for one in (model, data))
-    found = [name for name in wanted if name in present]
-    by_position = any(_DEFAULT.fullmatch(name) for name in [*wanted, *present])
-    if len(found) == len(wanted) or (what == "output" and found and not by_position):
-        places = tuple(present.index(name) if name in present else -1 for name in wanted)
-        kept = [place for place in places if place >= 0]
-        if kept != sorted(kept):
-            notes.append(f"{what}s of {model.name!r} were reordered by name: {', '.join(found)}")
-        if len(found) < len(wanted):
-            notes.append(f"not measured, so not compared: {', '.join(n for n in wanted if n not in present)}")
-        if len(kept) < len(present):
-            left = ", ".join(name for name in present if name not in wanted)
-            notes.append(f"{what}s of the record that {model.name!r} does not have: {left}")
-        return places
-    if by_position:
-        if len(wanted) != len(present):
-            raise ct.ControlDimension(
-                f"model {model.name!r} has {len(wanted)} {what}(s) ({', '.join(wanted)}) and record "
-                f"{data.name!r} {len(present)} ({', '.join(present)}); name both alike, or give as many"
-            )
+    wanted, present = (list(getattr(one, f"{what}_labels")) for one in (model, data))
+    missing = [name for name in wanted if name not in present]
+    by_position = any(map(_DEFAULT.fullmatch, [*wanted, *present]))
+    if not missing or (what == "output" and len(missing) < len(wanted) and not by_position):
+        notes += _about_order(what, model.name, wanted, present)
+        return tuple(present.index(name) if name in present else -1 for name in wanted)
+    if by_position and len(wanted) == len(present):
         return tuple(range(len(wanted)))
-    missing = ", ".join(repr(name) for name in wanted if name not in present)
+    if by_position:
+        raise ct.ControlDimension(
+            f"model {model.name!r} has {len(wanted)} {what}(s) ({', '.join(wanted)}) and record "
+            f"{data.name!r} {len(present)} ({', '.join(present)}); name both alike, or give as many"
+        )
     raise ct.ControlDimension(
-        f"record {data.name!r} has no {what} {missing} of model {model.name!r}; it has "
+        f"record {data.name!r} has no {what} {', '.join(map(repr, missing))} of model {model.name!r}; it has "
         f"{', '.join(map(repr, present))}. Name them alike: Measurement(..., {what}_labels=[...]) or "
         f"control.ss(..., {what}s=[...])"
     )
+
+
+def _about_order(what: str, model: str, wanted: Sequence[str], present: Sequence[str]) -> list[str]:
+    """Return notes on the channels of a model that a record holds otherwise."""
+    found, inside = (
+        [name for name in one if name in other] for one, other in ((wanted, present), (present, wanted))
+    )
+    told = {
+        f"{what}s of {model!r} were reordered by name": found if found != inside else [],
+        "not measured, so not compared": [name for name in wanted if name not in present],
+        f"{what}s of the record that {model!r} does not have": [x for x in present if x not in wanted],
+    }
+    return [f"{said}: {', '.join(names)}" for said, names in told.items() if names]
 
 
 def record_for(data: Measurement, channels: Channels) -> Measurement:

@@ -216,60 +216,6 @@ def _shape(value: Any) -> str:
     return f"{' x '.join(map(str, value.shape))}{kind}"
 
 
-def read_frame(frame: Any, names: Sequence[str]) -> FileColumns:
-    """Read named columns of a data frame.
-
-    A data frame is one of pandas, or any object with columns and to_numpy.
-
-    Raises
-    ------
-    MissingExtraError
-        If `frame` is no data frame and pandas is not installed.
-    DataError
-        If a column is not there or holds missing values.
-    """
-    if not hasattr(frame, "columns"):
-        pd = needed("pandas", "pandas", "from_frame, where it is handed no data frame,")
-        if not isinstance(frame, (dict, pd.Series)):
-            raise ct.ControlArgument(
-                f"from_frame takes a pandas.DataFrame (or a dict of columns), not {type(frame).__name__}"
-            )
-        try:
-            frame = pd.DataFrame(frame)
-        except (ValueError, TypeError) as error:
-            raise ct.ControlDimension(f"the columns of the frame do not fit together: {error}") from error
-    present, columns = _column_names(frame), {}
-    for name in names:
-        if name not in present:
-            listed = ", ".join(repr(p) for p in present if p)
-            raise DataError(f"the data frame: no column {name!r}; there are {listed or 'none'}")
-        if present.count(name) > 1:
-            raise DataError(f"the data frame: column {name!r} stands there twice; rename one")
-        at = present.index(name)
-        column = frame.iloc[:, at] if hasattr(frame, "iloc") else frame[frame.columns[at]]
-        missing = np.asarray(column.isna()) if hasattr(column, "isna") else np.zeros(len(column), dtype=bool)
-        if missing.any():
-            raise DataError(
-                f"column {name!r} is missing at row {int(np.argmax(missing))} of the data frame "
-                f"({int(missing.sum())} rows); fill the gaps or drop a stretch"
-            )
-        columns[name] = column.to_numpy()
-    return FileColumns(columns)
-
-
-def _column_names(frame: Any) -> list[str]:
-    """Return the names of columns as texts.
-
-    A column with several levels, of which one has a name, has that name. Otherwise it has the text of all:
-    ``"('motor', 'u')"``.
-    """
-    names = []
-    for column in frame.columns:
-        levels = [str(one) for one in column if str(one)] if isinstance(column, tuple) else []
-        names.append(levels[0] if len(levels) == 1 else str(column))
-    return names
-
-
 def _sets_of(path: Any, kind: int, asked: Sequence[int] | None = None) -> tuple[list[int], dict[int, Any]]:
     """Read the data sets of one type from a universal file.
 

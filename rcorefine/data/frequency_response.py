@@ -98,6 +98,17 @@ def _as_coherence(values: ArrayLike, n_y: int, n: int) -> Array:
     return array
 
 
+def _order(omega: Array, n: int) -> NDArray[np.intp]:
+    """Return the numbers of `n` frequencies in rising order."""
+    if omega.size != n:
+        raise ct.ControlDimension(f"response has {n} points and omega {omega.size}")
+    order = np.argsort(omega, kind="stable")
+    if (again := np.diff(omega[order]) <= 0).any():
+        twice = omega[order][:-1][again][0]
+        raise DataError(f"omega holds {twice:g} rad/s twice; keep one, or their mean")
+    return order
+
+
 def _as_amplitude(value: Any, n: int, order: NDArray[np.intp]) -> Array | None:
     """Return the input peaks in the order of the sorted frequencies.
 
@@ -199,12 +210,7 @@ class FrequencyResponse(Result, FrequencyRecord, ct.FrequencyResponseData):  # t
     ) -> None:
         values, points = _as_points(response), as_vector(omega, "omega", above=0.0)
         n_y, n_w, n = values.shape
-        if points.size != n:
-            raise ct.ControlDimension(f"response has {n} points and omega {points.size}")
-        order = np.argsort(points, kind="stable")
-        if n > 1 and not np.diff(points[order]).min() > 0:
-            twice = points[order][:-1][np.diff(points[order]) <= 0][0]
-            raise DataError(f"omega holds {twice:g} rad/s twice; keep one, or their mean")
+        order = _order(points, n)
         dt = as_number(dt, "dt", least=0.0, what="a time in seconds", error=DataError)
         super().__init__(
             values[:, :, order],
@@ -357,38 +363,35 @@ class FrequencyResponse(Result, FrequencyRecord, ct.FrequencyResponseData):  # t
         """
         given = {"frequency_unit": frequency_unit, "magnitude_unit": magnitude_unit, "phase_unit": phase_unit}
         _check(options | given)
-        polar = real is None and imag is None
+        named = [one is not None for one in (magnitude, phase, real, imag)]
+        polar = named == [True, True, False, False]
         pair = {"magnitude": magnitude, "phase": phase} if polar else {"real": real, "imag": imag}
-        if any(one is None for one in pair.values()) or not (polar or (magnitude is None and phase is None)):
+        if not polar and named != [False, False, True, True]:
             raise ct.ControlArgument(
                 "name the columns of magnitude and phase, or those of real and imag: both of one pair"
             )
         f = as_text(frequency, "frequency", empty=False)
-        certainty = {"coherence": coherence, "std": std}
-        columns = {what: _columns(asked, what) for what, asked in (pair | certainty).items()}
-        first, second = (columns[what] for what in pair)
-        for what, names in columns.items():
-            if (names or what in pair) and len(names) != len(first):
-                raise ct.ControlDimension(f"{what} names {len(names)} column(s) for {len(first)} response(s)")
+        columns = _columns(pair | {"coherence": coherence, "std": std})
+        a, b = pair
+        first = columns[a]
         path = as_path(path)
         wanted = list(dict.fromkeys([f, *(name for names in columns.values() for name in names)]))
         read, units, _ = read_csv(path, wanted, delimiter=delimiter, decimal=decimal, header=header)
         rows = {what: np.array([read[name] for name in names]) for what, names in columns.items()}
+        one, two = rows[a], rows[b]
         if polar:
             in_dB = (magnitude_unit or ("dB" if "dB" in map(units.get, first) else "1")) == "dB"
-            size = 10.0 ** (rows["magnitude"] / 20.0) if in_dB else rows["magnitude"]
-            turn = _factor("phase_unit", phase_unit, units.get(second[0]), second[0])
-            values = size * np.exp(1j * turn * rows["phase"])
+            size = 10.0 ** (one / 20.0) if in_dB else one
+            values = size * np.exp(1j * _factor("phase_unit", phase_unit, units, columns[b][0]) * two)
         else:
-            values = rows["real"] + 1j * rows["imag"]
-        omega = read[f] * _factor("frequency_unit", frequency_unit, units.get(f), f)
-        own: dict[str, Any] = {"name": Path(path).stem}
-        if coherence is not None:
-            own["coherence"] = rows["coherence"]
-        if std is not None:
-            own["std"] = rows["std"][:, None]
-        if len(first) > 1:
-            own["output_labels"] = first
+            values = one + 1j * two
+        own = {
+            "name": Path(path).stem,
+            "coherence": rows.get("coherence"),
+            "std": rows["std"][:, None] if "std" in rows else None,
+            "output_labels": first if len(first) > 1 else None,
+        }
+        omega = read[f] * _factor("frequency_unit", frequency_unit, units, f)
         return cls(values[:, None], omega, **(own | options))
 
     @classmethod
@@ -590,18 +593,24 @@ def _check(options: Mapping[str, Any]) -> None:
             _CHECKS[name](value, name)
 
 
-def _columns(names: str | Sequence[str] | None, what: str) -> list[str]:
-    """Names of columns; none where none is asked for."""
-    if names is None:
-        return []
-    found = list(as_texts(names, f"{what} (column names)"))
-    if not found or "" in found:
-        raise ct.ControlArgument(f"{what} names no column: {shown(names)}")
+def _columns(asked: Mapping[str, str | Sequence[str] | None]) -> dict[str, list[str]]:
+    """Return the columns of what is asked for, one for each response."""
+    found: dict[str, list[str]] = {}
+    for what, names in asked.items():
+        if names is not None:
+            found[what] = list(as_texts(names, f"{what} (column names)"))
+            if not found[what] or "" in found[what]:
+                raise ct.ControlArgument(f"{what} names no column: {shown(names)}")
+    count = len(next(iter(found.values())))
+    for what, listed in found.items():
+        if len(listed) != count:
+            raise ct.ControlDimension(f"{what} names {len(listed)} column(s) for {count} response(s)")
     return found
 
 
-def _factor(name: str, given: str | None, written: str | None, column: str) -> float:
+def _factor(name: str, given: str | None, units: Mapping[str, str], column: str) -> float:
     """Return what one unit of a column is in rad/s or rad."""
+    written = units.get(column)
     unit, known = str(given or written), _UNITS[name]
     if unit not in known:
         said = f"its header says {written!r}" if written else "its header says none"

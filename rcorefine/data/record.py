@@ -23,7 +23,7 @@ class TimeRecord:
     note : str
         What is to be said of the noise.
     n_balances : int
-        Frequencies at which nonlinear effects need a harmonic balance.
+        Given frequencies at which nonlinear effects need a harmonic balance.
     """
 
     __slots__ = ()

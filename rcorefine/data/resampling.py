@@ -172,21 +172,7 @@ def regular(
     dt = step if dt is None else dt
     factor = 1 if dt <= 1.1 * step else int(np.ceil(dt / step * (1 - 1e-9)))
     fine = dt / factor
-    first = max(float(inputs.times[0]), float(outputs.times[0]))
-    last = float(outputs.times[-1]) if held else min(float(inputs.times[-1]), float(outputs.times[-1]))
-    if held:  # the grid lies where they switch, so that no switch is split between two samples
-        switches = inputs.times[1:][np.diff(inputs.rows, axis=1).any(axis=0)]
-        if switches.size:
-            turns = 2j * np.pi * (switches - first) / fine
-            share = float(np.angle(np.mean(np.exp(turns)))) / (2.0 * np.pi) % 1.0
-            first += share * fine if share <= 1.0 - 1e-6 else 0.0  # rounding is no whole step
-    count = int(np.floor((last - first) / fine * (1 + 1e-12))) + 1
-    if last <= first or count < 2:
-        spans = [f"{s.name} ({s.times[0]:g} ... {s.times[-1]:g} s)" for s in (inputs, outputs)]
-        raise DataError(
-            f"{' and '.join(spans)} have no stretch of time in common that holds two samples; bring them to "
-            "one zero"
-        )
+    first, count = _grid(inputs, outputs, held, fine)
     if count > _FINEST * max(inputs.times.size, outputs.times.size):
         raise DataError(
             f"dt = {dt:g} s makes {count} samples of stamps {step:.6g} s apart, and nothing is known between "
@@ -219,6 +205,28 @@ def regular(
     except DataError as reason:
         raise DataError(f"dt = {dt:g} s is too long for stamps {step:.6g} s apart: {reason}") from reason
     return slow._replace(dt=dt, notes=(*notes, *slow.notes), elapsed=0.0)
+
+
+def _grid(inputs: Stamped, outputs: Stamped, held: bool, step: float) -> tuple[float, int]:
+    """Return start and length of a grid over what inputs and outputs share.
+
+    Where inputs are held it lies where they switch, so that no switch is split between two samples.
+    """
+    first = max(float(inputs.times[0]), float(outputs.times[0]))
+    last = float(outputs.times[-1]) if held else min(float(inputs.times[-1]), float(outputs.times[-1]))
+    switches = inputs.times[1:][np.diff(inputs.rows, axis=1).any(axis=0)]
+    if held and switches.size:
+        turns = 2j * np.pi * (switches - first) / step
+        share = float(np.angle(np.mean(np.exp(turns)))) / (2.0 * np.pi) % 1.0
+        first += share * step if share <= 1.0 - 1e-6 else 0.0  # rounding is no whole step
+    count = int(np.floor((last - first) / step * (1 + 1e-12))) + 1
+    if last <= first or count < 2:
+        spans = [f"{s.name} ({s.times[0]:g} ... {s.times[-1]:g} s)" for s in (inputs, outputs)]
+        raise DataError(
+            f"{' and '.join(spans)} have no stretch of time in common that holds two samples; bring them to "
+            "one zero"
+        )
+    return first, count
 
 
 def _in_order(signals: Stamped, last: bool, notes: list[str]) -> Stamped:

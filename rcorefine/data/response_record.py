@@ -156,11 +156,6 @@ class ResponseRecord(FrequencyRecord):
         return np.asarray(parts[:, 0] + 1j * parts[:, 1])
 
     @property
-    def n_balances(self) -> int:
-        """Number of frequencies that may need a harmonic balance."""
-        return self.measured.n_balances
-
-    @property
     def error_units(self) -> tuple[str, ...]:
         """Standard deviations of the noise as units of the error."""
         return ("std",) * self.n_outputs
@@ -238,22 +233,17 @@ def _channels(measured: FrequencyResponse, model: LinearModel) -> tuple[Places, 
 def _picked(measured: FrequencyResponse, rows: Places, columns: Places, lines: Places) -> FrequencyResponse:
     """Some channels and frequencies of a response."""
     at = np.ix_(rows, columns, lines)
+    places = {"input_labels": columns, "output_labels": rows, "input_units": columns, "output_units": rows}
+    own: dict[str, Any] = {x: [getattr(measured, x)[k] for k in which] for x, which in places.items()}
+    own |= {x: getattr(measured, x) for x in ("segment_length", "n_omitted", "dt", "hold", "name")}
     return FrequencyResponse(
         measured.response[at],
         measured.omega[lines],
         std=None if measured.std is None else measured.std[at],
         coherence=None if measured.coherence is None else measured.coherence[np.ix_(rows, lines)],
         amplitude=None if measured.amplitude is None else measured.amplitude[lines],
-        input_labels=[measured.input_labels[j] for j in columns],
-        output_labels=[measured.output_labels[i] for i in rows],
-        input_units=[measured.input_units[j] for j in columns],
-        output_units=[measured.output_units[i] for i in rows],
         n_averages=measured.n_averages if np.isfinite(measured.n_averages) else None,
-        segment_length=measured.segment_length,
-        n_omitted=measured.n_omitted,
-        dt=measured.dt,
-        hold=measured.hold,
-        name=measured.name,
+        **own,
     )
 
 

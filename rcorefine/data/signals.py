@@ -247,15 +247,24 @@ def in_seconds(values: Any) -> Any:
     if times.dtype.kind == "m":
         return times / np.timedelta64(1, "s")
     cells = times.tolist()
-    if all(isinstance(cell, datetime) and cell == cell for cell in cells):  # NaT is none, not even itself
-        if len({cell.tzinfo is None for cell in cells}) == 1:
-            if cells[0].tzinfo is not None:  # where summer begins, local times differ by an hour more
-                cells = [cell.astimezone(UTC) for cell in cells]
-            first = min(cells)
-            return np.array([(cell - first).total_seconds() for cell in cells])
-    elif all(isinstance(cell, str) for cell in cells) and is_clock_time(cells[0]):
+    kinds = {_kind(cell) for cell in cells}
+    if kinds == {"local"}:  # where summer begins, such times differ by an hour more
+        cells, kinds = [cell.astimezone(UTC) for cell in cells], {"plain"}
+    if kinds == {"plain"}:
+        first = min(cells)
+        return np.array([(cell - first).total_seconds() for cell in cells])
+    if kinds == {"text"} and is_clock_time(cells[0]):
         return seconds_of(cells, [f"time {k}" for k in range(len(cells))])[0]
     return values
+
+
+def _kind(cell: Any) -> str:
+    """Return the kind of a time: a date with or without a zone, or text."""
+    if isinstance(cell, str):
+        return "text"
+    if not isinstance(cell, datetime) or cell != cell:  # NaT is none, not even itself
+        return ""
+    return "plain" if cell.tzinfo is None else "local"
 
 
 def is_clock_time(cell: str) -> bool:

@@ -1,4 +1,4 @@
-"""Columns of numbers from text tables, with their units.
+"""Columns of numbers from text tables, with units, and from data frames.
 
 Header, separator, decimal mark and units are found from the text; NumPy parses the numbers.
 """
@@ -8,8 +8,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Iterator, Sequence
-from itertools import islice
-from operator import methodcaller
+from itertools import filterfalse, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +16,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_choice, as_text, as_texts, shown
-from ..exceptions import DataError
+from ..exceptions import DataError, needed
 from ..systems.linear import Array
 from .formats import FileColumns
 from .signals import is_clock_time, seconds_of
@@ -104,8 +103,8 @@ def seconds_per(unit: str, column: str) -> float:
 _DELIMITERS = ",;\t| "
 _WORDS = {",": "comma", ";": "semicolon", "\t": "tab", "|": "bar", " ": "blanks", ".": "point"}
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.IGNORECASE)
-_DECIMAL_COMMA = re.compile(r"[+-]?\d*,\d*([eE][+-]?\d+)?")
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
+_WITH_COMMA = re.compile(rf"[+-]?\d*,\d*([eE][+-]?\d+)?|{_THOUSANDS.pattern}")
 _LOOK = 1000  # lines whose decimal marks are looked at
 
 
@@ -169,25 +168,30 @@ def read_csv(
         body.pop()
     if not body:
         raise DataError(f"{path} has a header but no data lines")
-    here, read = f"{path}, line", {}
-    places = layout.places
-    asked = dict(zip(places, _asked(body[0], places, layout.delimiter), strict=True))
-    for name in [name for name, cell in asked.items() if is_clock_time(cell)]:
-        rows = list(_rows_of(body, layout.delimiter, here, layout.first))
-        cells = [row[places[name]].strip() if places[name] < len(row) else "" for _, row in rows]
-        read[name], how = seconds_of(
-            cells, [f"{here} {line}, column {name!r} ({places[name] + 1})" for line, _ in rows]
-        )
-        notes = (*notes, f"{name!r} holds times of {how}")
-    layout = layout._replace(places={name: place for name, place in places.items() if name not in read})
-    if layout.places:
-        table = _by_numpy(body, layout)
-        if table is None:
-            table = np.array(list(_by_line(body, layout, here))).T.copy()
-        read |= dict(zip(layout.places, table, strict=True))
-    said = f"{Path(path).name}: " + "; ".join((layout.text, *notes))
-    clocks = dict.fromkeys(read.keys() - layout.places.keys(), "s")
-    return FileColumns({name: read[name] for name in names}, layout.units | clocks, (said,))
+    here = f"{path}, line"
+    clocks, told = _clocks(body, layout, here)
+    rest = layout._replace(places={k: place for k, place in layout.places.items() if k not in clocks})
+    table = _by_numpy(body, rest) if rest.places else ()
+    if table is None:
+        table = np.array(list(_by_line(body, rest, here))).T.copy()
+    read = clocks | dict(zip(rest.places, table, strict=True))
+    said = f"{Path(path).name}: " + "; ".join((layout.text, *notes, *told))
+    units = layout.units | dict.fromkeys(clocks, "s")
+    return FileColumns({name: read[name] for name in names}, units, (said,))
+
+
+def _clocks(body: list[str], layout: _Layout, here: str) -> tuple[dict[str, Array], list[str]]:
+    """Return the requested columns of a clock in seconds, and notes on them."""
+    read, told = {}, []
+    cells = _asked(body[0], layout.places, layout.delimiter)
+    for (name, place), first in zip(layout.places.items(), cells, strict=True):
+        if is_clock_time(first):
+            rows = list(_rows_of(body, layout.delimiter, here, layout.first))
+            times = [row[place].strip() if place < len(row) else "" for _, row in rows]
+            spots = [f"{here} {line}, column {name!r} ({place + 1})" for line, _ in rows]
+            read[name], how = seconds_of(times, spots)
+            told.append(f"{name!r} holds times of {how}")
+    return read, told
 
 
 def _text(path: Any) -> tuple[str, tuple[str, ...]]:
@@ -295,17 +299,11 @@ def _header_line(lines: list[str], names: Sequence[str], here: str, delimiter: s
             continue
         found = {}
         for split_at in delimiter or _DELIMITERS:
-            cells = _cells(line.lstrip("#% "), split_at)
-            bare = [split_unit(cell)[0] for cell in cells]
-            places = {
-                name: (cells if name in cells else bare).index(name) for name in names if name in cells + bare
-            }
-            whole = len(places) == len(names)
-            comment = line.lstrip().startswith(("#", "%")) and not whole
-            likeliest = max(likeliest, (0 if comment else len(places) + 1, -index, len(cells), split_at))
-            first = _below(lines, index + 1, places, split_at)[0] if whole else None
-            if first is not None and all(map(_is_value, _asked(lines[first], places, split_at))):
-                found[split_at] = len(cells)
+            cells, named, numbers = _cut(lines, index, names, split_at)
+            comment = line.lstrip().startswith(("#", "%")) and named < len(names)
+            likeliest = max(likeliest, (0 if comment else named + 1, -index, cells, split_at))
+            if numbers:
+                found[split_at] = cells
         if len(set(found.values())) > 1:
             marks = " and ".join(_WORDS.get(mark, repr(mark)) for mark in found)
             raise DataError(
@@ -319,6 +317,19 @@ def _header_line(lines: list[str], names: Sequence[str], here: str, delimiter: s
             "with header="
         )
     return -likeliest[1], likeliest[3]
+
+
+def _cut(lines: list[str], index: int, names: Sequence[str], split_at: str) -> tuple[int, int, bool]:
+    """Return how many cells and how many of the names a line has.
+
+    The third value says whether it has all names and numbers follow below them.
+    """
+    cells = _cells(lines[index].lstrip("#% "), split_at)
+    bare = [split_unit(cell)[0] for cell in cells]
+    places = {name: (cells if name in cells else bare).index(name) for name in names if name in cells + bare}
+    first = _below(lines, index + 1, places, split_at)[0] if len(places) == len(names) else None
+    numbers = first is not None and all(map(_is_value, _asked(lines[first], places, split_at)))
+    return len(cells), len(places), numbers
 
 
 def _below(
@@ -372,18 +383,18 @@ def _places(names: Sequence[str], cells: list[str], where: str) -> dict[str, int
 def _decimal(lines: list[str], places: dict[str, int], split_at: str, here: str) -> str:
     """Decimal mark of the columns asked for."""
     sign = '"' if split_at == "," else ","  # between commas, only a quoted number may hold one
-    some = list(islice((line for line in lines if sign in line), _LOOK))  # the first may stand far below
+    some = islice((line for line in lines if sign in line), _LOOK)  # the first may stand far below
     cells = [cell for line in some for cell in _asked(line, places, split_at)]
-    commas = [cell for cell in cells if _DECIMAL_COMMA.fullmatch(cell) or _THOUSANDS.fullmatch(cell)]
+    commas = list(filter(_WITH_COMMA.fullmatch, cells))
     if not commas:
         return "."
-    pointed = next((cell for cell in cells if "." in cell and _NUMBER.fullmatch(cell)), None)
-    if pointed is not None:
+    pointed = [cell for cell in filter(_NUMBER.fullmatch, cells) if "." in cell]
+    if pointed:
         raise DataError(
-            f"{here} holds {commas[0]!r} and {pointed!r}: comma and point cannot both be the decimal mark; "
-            "give decimal=',' or decimal='.', and write no separators of thousands"
+            f"{here} holds {commas[0]!r} and {pointed[0]!r}: comma and point cannot both be the decimal "
+            "mark; give decimal=',' or decimal='.', and write no separators of thousands"
         )
-    others = [cell for cell in cells if cell and not _THOUSANDS.fullmatch(cell)]
+    others = filterfalse(_THOUSANDS.fullmatch, cells)
     if not any("," in cell or len(cell.lstrip("+-")) > 3 for cell in others):
         raise DataError(
             f"{here} holds {commas[0]!r}, which may have a decimal comma or a separator of thousands, and "
@@ -405,14 +416,7 @@ def _by_numpy(body: list[str], layout: _Layout) -> Array | None:
         marks = {ord(","): ".", ord("."): "_"}
         body = [line.translate(marks) for line in body]
     try:
-        if any('"' in line for line in body):
-            widths = [len(row) for row in csv.reader(body, delimiter=delimiter)]
-            if len(widths) != len(body) or max(widths) > layout.width:
-                return None
-        elif delimiter == " ":
-            if max(len(line.split()) for line in body) > layout.width:
-                return None
-        elif max(map(methodcaller("count", delimiter), body)) >= layout.width:
+        if _widest(body, delimiter) > layout.width:
             return None
         table = np.loadtxt(
             body, delimiter=None if delimiter == " " else delimiter, usecols=columns, comments=None,
@@ -422,6 +426,19 @@ def _by_numpy(body: list[str], layout: _Layout) -> Array | None:
         return None
     whole = len(table) == len(body) and np.isfinite(table).all()
     return np.ascontiguousarray(table.T) if whole else None
+
+
+def _widest(body: list[str], delimiter: str) -> float:
+    """Return the largest number of cells of a line.
+
+    It is infinite where quotes hold the end of a line.
+    """
+    if any('"' in line for line in body):
+        widths = [len(row) for row in csv.reader(body, delimiter=delimiter)]
+        return max(widths) if len(widths) == len(body) else float("inf")
+    if delimiter == " ":
+        return max(len(line.split()) for line in body)
+    return max(line.count(delimiter) for line in body) + 1
 
 
 def _by_line(body: list[str], layout: _Layout, here: str) -> Iterator[list[float]]:
@@ -457,3 +474,51 @@ def _number(cell: str, place: str, decimal: str) -> float:
     elif other in cell:
         hint = f" (the decimal mark of this file is {decimal!r}; another one is given by decimal=)"
     raise DataError(f"{place} is not a number: {cell!r}{hint}")
+
+
+def read_frame(frame: Any, names: Sequence[str]) -> FileColumns:
+    """Read named columns of a data frame.
+
+    A data frame is one of pandas, or any object with columns and to_numpy.
+
+    Raises
+    ------
+    MissingExtraError
+        If `frame` is no data frame and pandas is not installed.
+    DataError
+        If a column is not there or holds missing values.
+    """
+    if not hasattr(frame, "columns"):
+        pd = needed("pandas", "pandas", "from_frame, where it is handed no data frame,")
+        if not isinstance(frame, (dict, pd.Series)):
+            raise ct.ControlArgument(
+                f"from_frame takes a pandas.DataFrame (or a dict of columns), not {type(frame).__name__}"
+            )
+        try:
+            frame = pd.DataFrame(frame)
+        except (ValueError, TypeError) as error:
+            raise ct.ControlDimension(f"the columns of the frame do not fit together: {error}") from error
+    columns = {}
+    for name, at in _places(names, _column_names(frame), "the data frame").items():
+        column = frame.iloc[:, at] if hasattr(frame, "iloc") else frame[frame.columns[at]]
+        missing = np.asarray(column.isna()) if hasattr(column, "isna") else np.zeros(len(column), dtype=bool)
+        if missing.any():
+            raise DataError(
+                f"column {name!r} is missing at row {int(np.argmax(missing))} of the data frame "
+                f"({int(missing.sum())} rows); fill the gaps or drop a stretch"
+            )
+        columns[name] = column.to_numpy()
+    return FileColumns(columns)
+
+
+def _column_names(frame: Any) -> list[str]:
+    """Return the names of columns as texts.
+
+    A column with several levels, of which one has a name, has that name. Otherwise it has the text of all:
+    ``"('motor', 'u')"``.
+    """
+    names = []
+    for column in frame.columns:
+        levels = [str(one) for one in column if str(one)] if isinstance(column, tuple) else []
+        names.append(levels[0] if len(levels) == 1 else str(column))
+    return names

@@ -147,7 +147,7 @@ class Case:
 
         If not, they are frequency responses.
         """
-        return bool(self.fitted.problem.in_time)
+        return self.fitted.problem.in_time
 
     @property
     def options(self) -> dict[str, Any]:

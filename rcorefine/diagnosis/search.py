@@ -263,13 +263,12 @@ class Search:
             if self.opened:
                 self.empty(self.opened)
         assert nothing is not None
-        in_time = self.case.in_time
-        strong = bool(in_time and nothing.model.refinement.fit.min() < _STRONG)
+        strong = self._strong(nothing)
         # first-order screening of the candidates, then single fits
         with step("first look at every effect"):
             near = in_race(self.fitted, self.library, (0.0, 1.0) if strong else (0.0,))
             screens = self._screens(self.fitted, near, strong)
-        self._singles(screens, strong or not in_time)
+        self._singles(screens, strong or not self.case.in_time)
         # the best single effects together with the parameters
         with step("effects beside the parameters"):
             alone = [x for x in self.ranked() if len(x.effects) == 1]
@@ -361,9 +360,12 @@ class Search:
         nothing, opened = empty.get(frozenset()), empty.get(self.opened)
         if not self.opened or nothing is None or opened is None or opened.total < nothing.total + _NEAR:
             return []
-        strong = self.case.in_time and opened.model.refinement.fit.min() < _STRONG
         with self.case.progress.step("first look beside the parameters"):
-            return self._screens(opened.base, [e for e in near if self.is_open(e)], bool(strong))
+            return self._screens(opened.base, [e for e in near if self.is_open(e)], self._strong(opened))
+
+    def _strong(self, trial: Trial) -> bool:
+        """Return whether a fit misses so much that the estimated motion counts."""
+        return self.case.in_time and bool(trial.model.refinement.fit.min() < _STRONG)
 
     def _singles(self, screens: Sequence[Screen], far: bool) -> None:
         """Fit the likeliest single effects, and others at the best place.

@@ -331,7 +331,6 @@ class ResponseEngine:
     """
 
     lead: Array | None = None  #: no observer leads a response
-    stepped = False  #: no substeps
 
     def __init__(self, structure: Structure, data: ResponseRecord, *, substeps: int = 1) -> None:
         self.structure, self.data, self.substeps = structure, data, substeps

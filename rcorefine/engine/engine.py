@@ -123,11 +123,6 @@ class Engine:
         self._far = np.where(self._largest > 0, far * self._largest, np.inf)
         self._nowhere = np.zeros(self._measured.shape, dtype=np.uint8)
 
-    @property
-    def stepped(self) -> bool:
-        """Return whether the accuracy depends on the substeps."""
-        return not self.structure.is_linear
-
     def run(
         self,
         theta: Array,

@@ -142,7 +142,7 @@ class Problem:
         self.structure, self.weights = structure, weights
         self.coordinates = Coordinates(structure)
         self.records: list[Any] = list(records)
-        self.in_time = self.records[0].in_time
+        self.in_time: bool = self.records[0].in_time
         if not self.in_time:  # a response has no start
             initial = np.zeros(structure.n_states)
         p = structure.n_parameters
@@ -189,7 +189,7 @@ class Problem:
     @property
     def stepped(self) -> bool:
         """Return whether the accuracy depends on the substeps."""
-        return bool(self.engines[0].stepped)
+        return self.in_time and not self.structure.is_linear
 
     @property
     def dwells(self) -> bool:
@@ -197,7 +197,7 @@ class Problem:
 
         It does where nonlinear effects respond to sines.
         """
-        return bool(self.records[0].n_balances) and not is_linear(self.structure)
+        return not self.in_time and not is_linear(self.structure)
 
     @property
     def precision(self) -> Array:
