@@ -30,8 +30,8 @@ class Content:
 
     Parameters
     ----------
-    title : str
-        First line.
+    title, verdict : str
+        First line, in text with the verdict in capitals.
     above, below : sequence of str
         Sentences above and below the tables.
     tables : sequence of TextTable
@@ -40,23 +40,25 @@ class Content:
         Next step, as a line of Python.
     answer : callable
         Returns the answer in three sentences, and whether nothing was found.
-    data : callable
-        Returns what was found, by name.
+    data : callable, optional
+        Returns what was found, by name; where that is not in the public fields.
     columns : callable, optional
         Returns the arguments of a pandas table, where its rows are not those of `data`.
     pictures : dict
-        Function for each method of the result that draws; it takes the `Frame` and the method's arguments.
+        Function for each method of the result that draws; it takes the result, the `Frame` and the method's
+        arguments.
     page : callable, optional
-        Returns the report.
+        Returns the report of the result.
     """
 
     title: str = ""
+    verdict: str = ""
     above: Sequence[str] = ()
     tables: Sequence[TextTable] = ()
     below: Sequence[str] = ()
     following: str = ""
     answer: Callable[[], tuple[Sequence[str], bool]] = lambda: ((), True)
-    data: Callable[[], Mapping[str, Any]]
+    data: Callable[[], Mapping[str, Any]] | None = None
     columns: Callable[[], tuple[Any, ...]] | None = None
     pictures: Mapping[str, Callable[..., ct.ControlPlot]] = field(default_factory=dict)
     page: Callable[..., Page] | None = None
@@ -74,13 +76,15 @@ _FIELDS: dict[type, str] = {
 
 @singledispatch
 def content(result: Any) -> Content:
-    """Return the content of a result; of a row, its fields alone."""
-    return Content(data=lambda: fields(result, _FIELDS.get(type(result), "")))
+    """Return the content of a result; a row is its fields alone."""
+    return Content()
 
 
 def fields(value: Any, names: str = "") -> dict[str, Any]:
     """Return the fields named in a text; without names, all public ones."""
-    asked = names.split() or [f.name for f in dataclasses.fields(value) if not f.name.startswith("_")]
+    asked = (names or _FIELDS.get(type(value), "")).split() or [
+        f.name for f in dataclasses.fields(value) if not f.name.startswith("_")
+    ]
     return {name: getattr(value, name) for name in asked}
 
 
@@ -89,7 +93,8 @@ def as_text(result: Any) -> str:
     """Return a result as text of at most 80 columns."""
     shown = content(result)
     tables = [table.text() for table in shown.tables]
-    return "\n".join([*wrapped([shown.title, *shown.above]), *filter(None, tables), *wrapped(_below(shown))])
+    head = _head(shown, shown.verdict.upper())
+    return "\n".join([*wrapped([head, *shown.above]), *filter(None, tables), *wrapped(_below(shown))])
 
 
 def as_html(result: Any) -> str:
@@ -97,8 +102,12 @@ def as_html(result: Any) -> str:
     shown = content(result)
     first, *more = shown.tables
     notes = [*shown.above, *first.notes, *_below(shown)]
-    first = replace(first, title=shown.title or first.title, notes=notes)
+    first = replace(first, title=_head(shown, shown.verdict) or first.title, notes=notes)
     return "".join(table.html() for table in (first, *more))
+
+
+def _head(shown: Content, verdict: str) -> str:
+    return f"{shown.title}: {verdict}" if verdict else shown.title
 
 
 def _below(shown: Content) -> list[str]:
@@ -118,7 +127,7 @@ def draw(result: Any, what: str, *args: Any, **options: Any) -> ct.ControlPlot:
         Arguments of the method; those that all pictures share make the `Frame`.
     """
     shared = {name: options.pop(name) for name in OPTIONS if name in options}
-    drawn = content(result).pictures[what](Frame(**shared), *args, **options)
+    drawn = content(result).pictures[what](result, Frame(**shared), *args, **options)
     spell_out(drawn.figure)
     return drawn
 
@@ -139,6 +148,6 @@ def report(
     target = check_target(path, title=title, code=code, overwrite=overwrite)
     make = content(result).page
     assert make is not None
-    page = make(**more)
+    page = make(result, **more)
     own = page.code if code is None else f"{code.rstrip()}\n\n{page.code}"
     return write_page(replace(page, title=title or page.title, code=own), target, overwrite=overwrite)

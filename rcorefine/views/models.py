@@ -23,7 +23,7 @@ from .bode import bode, bode_grid, level_bode
 from .content import Content, content, fields
 from .figures import BAND, Frame, plain, style, unit_text, write_at
 from .page import signal_names
-from .tables import TextTable, cells, root_mean_square
+from .tables import TextTable, root_mean_square
 
 _SHOWN = 12  # parameters in the text
 
@@ -43,11 +43,11 @@ def physical_content(model: PhysicalModel) -> Content:
     for item in model.parameters[:_SHOWN]:
         # the effect in the words of its place, and the kind that `Effect` takes
         called, label = f"{item.kind} at {item.place}", model.check(Effect(item.kind, item.place)).label
-        rows.append(
-            [*cells(item, "name value:.6g unit"), called if label == called else f"{label} ({item.kind})"]
-        )
+        unit = "" if item.unit == "1" else item.unit
+        told = called if label == called else f"{label} ({item.kind})"
+        rows.append([f"{item.name} = {item.value:.6g} {unit}".rstrip(), told])
     left = len(model.parameters) - len(rows)
-    notes = ["The value is that of the initial model; an effect at the place adds to it."] if rows else []
+    notes = ["An effect at the place adds to the value."] if rows else []
     notes += [f"... and {left} more in `parameters`."] if left else []
     places = [[port.name, port.description] for port in model.ports]
     others = [f"... and {', '.join(name for name, _ in places[_SHOWN:])}"] if places[_SHOWN:] else []
@@ -57,7 +57,7 @@ def physical_content(model: PhysicalModel) -> Content:
         above=said,
         tables=[
             TextTable(["place", "what it is"], places[:_SHOWN], notes=others, left=2),
-            TextTable(["parameter", "value", "unit", "effect"], rows, notes=notes),
+            TextTable(["parameter of the initial model", "effect"], rows, notes=notes, left=2),
         ],
         data=lambda: {"name": model.name, "system": system_dict(linear), **fields(model, names)},
     )
@@ -227,7 +227,6 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
         ax.set_ylabel(unit_text("RMS error", unit))
         after = f"{improvement.verdict} after {counted(len(steps) - 1, 'step')}"
         ax.set_title(frame.title or f"Error after each step: {after}")
-        ax.grid(True, axis="y", alpha=0.4)
         place = frame.legend_loc if isinstance(frame.legend_loc, str) else "upper right"
         legend = ax.legend(loc=place) if frame.legends else None
     return ct.ControlPlot(lines, axes, ax.figure, legend)
@@ -261,6 +260,5 @@ def parameter_plot(refinement: Refinement) -> ct.ControlPlot:
         axis.margins(x=0.08)
         axis.set_yticks(range(len(rows)), names)
         axis.set(ylim=(len(rows) - 0.4, -0.6), xlabel="Estimate over initial value")
-        axis.grid(True, axis="x", alpha=0.3)
         lines[0, 0] = list(axis.lines)
         return frame.finish(axes, lines, [])
