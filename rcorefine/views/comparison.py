@@ -16,8 +16,8 @@ from ..comparison.signals import Decay, correlogram, decay_of
 from ..exceptions import DataError
 from .bode import bode
 from .failure_map import plot_map
-from .figures import BAND, MEASURED, Frame, busiest_stretch, draws, plain, style, trace, unit_text
-from .tables import TextTable, number, tabulates
+from .figures import BAND, MEASURED, Frame, busiest_stretch, plain, style, trace, unit_text
+from .tables import TextTable, number
 
 
 def plot_decay(result: Comparison, frame: Frame) -> ct.ControlPlot:
@@ -68,7 +68,6 @@ _START = {
 }
 
 
-@tabulates(Comparison)
 def comparison_table(result: Comparison) -> TextTable:
     """One row per model and output."""
     data = result.data
@@ -116,7 +115,6 @@ def _how(result: Comparison) -> str:
     )
 
 
-@draws(Comparison)
 def plot_comparison(
     result: Comparison, frame: Frame, kind: str = "time", *, measured: Any = None, omega: Any = None
 ) -> ct.ControlPlot:

@@ -6,6 +6,7 @@ They show how close it is to an alarm, the probable effects, and the size of the
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import control as ct
@@ -17,18 +18,20 @@ from ..results import with_error
 from ..streaming.history import CoefficientHistory, History
 from ..streaming.monitor.monitor import Monitor
 from ..streaming.refiner import RCORefiner
-from ..systems.linear import Array
+from ..systems.linear import Array, LinearModel
 from .bode import bode
-from .figures import BAND, Frame, draws, plain, style, trace, unit_text
-from .tables import TextTable, number, tabulates
+from .content import Content, content, fields
+from .figures import BAND, Frame, plain, style, trace, unit_text
+from .models import system_dict
+from .tables import TextTable, number
 
 _SHOWN = 8  # candidates in the table
 _MOST = 4  # candidates whose probability is drawn
 
 
-@tabulates(Monitor)
-def monitor_table(monitor: Monitor) -> TextTable:
-    """The candidates of a monitor, the most probable first."""
+@content.register
+def monitor_content(monitor: Monitor) -> Content:
+    """Return the content of a monitor: the most probable candidates."""
     n, name = monitor.n_samples, monitor._structure.linear_model.name
     stream = monitor._stream
     state = monitor.alarm
@@ -71,10 +74,13 @@ def monitor_table(monitor: Monitor) -> TextTable:
         f"False alarms: at most {monitor.false_alarms:g} in 100 000 healthy samples, one in "
         f"{seconds / size:.3g} {word}."
     )
-    return TextTable(["candidate", "coefficient", "probability", "gain"], rows, title, notes)
+    return Content(
+        tables=[TextTable(["candidate", "coefficient", "probability", "gain"], rows, title, notes)],
+        data=lambda: {"n_samples": n, "alarm": state, "rows": monitor.ranking},
+        pictures={"plot": partial(plot_monitor, monitor)},
+    )
 
 
-@draws(Monitor)
 def plot_monitor(monitor: Monitor, frame: Frame) -> ct.ControlPlot:
     """Draw statistic, probabilities and coefficient over time.
 
@@ -135,15 +141,21 @@ def _title(monitor: Monitor, alarms: list[Any]) -> str:
     return f"{last.effect.label} since {last.since:.4g} s{ended}"
 
 
-@tabulates(RCORefiner)
-def refiner_table(refiner: RCORefiner) -> TextTable:
-    """Settings, or parameters, with what the refiner has learned so far."""
+@content.register
+def refiner_content(refiner: RCORefiner) -> Content:
+    """Return the content of a refiner: settings, and what it has learned."""
     found = refiner._summary()
     left = 1 if refiner.form == "paper" else 3
-    return TextTable(found.headers, found.rows, found.title, found.notes, left)
+    return Content(
+        tables=[TextTable(found.headers, found.rows, found.title, found.notes, left)],
+        data=lambda: {
+            **fields(refiner, "n_samples n_learned"),
+            "system": system_dict(LinearModel.from_statespace(refiner.system)),
+        },
+        pictures={"bode_plot": partial(plot_bode, refiner)},
+    )
 
 
-@draws(RCORefiner, "bode_plot")
 def plot_bode(
     refiner: RCORefiner, frame: Frame, measured: Any = None, omega: ArrayLike | None = None
 ) -> ct.ControlPlot:
@@ -155,7 +167,12 @@ def plot_bode(
     return bode(systems, measured, omega, frame, refiner._estimator.deviation())
 
 
-@draws(History)
+@content.register
+def history_content(history: History) -> Content:
+    """Return the content of a history with the paper's settings."""
+    return Content(data=dict, pictures={"plot": partial(plot_stages, history)})
+
+
 def plot_stages(history: History, frame: Frame) -> ct.ControlPlot:
     """Draw the performance of both stages, static coefficients and poles.
 
@@ -196,7 +213,12 @@ def _coefficients(history: History) -> list[str]:
     return [f"{name} (u{c})" if l_u > 1 else name for c in range(l_u) for name in names]
 
 
-@draws(CoefficientHistory)
+@content.register
+def coefficients_content(history: CoefficientHistory) -> Content:
+    """Return the content of a history of coefficients."""
+    return Content(data=dict, pictures={"plot": partial(plot_coefficients, history)})
+
+
 def plot_coefficients(history: CoefficientHistory, frame: Frame) -> ct.ControlPlot:
     """Performance, coefficients and poles; see `CoefficientHistory.plot`."""
     names = frame.labels(history.names)

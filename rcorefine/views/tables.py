@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import zip_longest
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-
-from ..results import shows
-
-_Cells = TypeVar("_Cells", bound=Callable[..., Any])
 
 WIDTH = 80
 
@@ -216,41 +212,6 @@ class TextTable:
     def html(self) -> str:
         """Return the table as HTML."""
         return html_table(self.headers, self.rows, title=self.title, notes=self.notes, left=self.left)
-
-
-def tabulates(kind: type) -> Callable[[_Cells], _Cells]:
-    """Enter the `TextTable` that results of this class are, in text and HTML."""
-
-    def enter(table: _Cells) -> _Cells:
-        shows(kind, "text")(lambda result: table(result).text())
-        shows(kind, "html")(lambda result: table(result).html())
-        return table
-
-    return enter
-
-
-#: Sentences, a table, sentences.
-Told = tuple[Sequence[str], TextTable, Sequence[str]]
-
-
-def tells(kind: type) -> Callable[[_Cells], _Cells]:
-    """Register the text of results of a class.
-
-    The text has sentences above, a `TextTable`, and sentences below.
-    In HTML it is the table, which has a title and notes for that.
-    """
-
-    def enter(parts: _Cells) -> _Cells:
-        def text(result: Any) -> str:
-            above, table, below = parts(result)
-            cells = text_table(table.headers, table.rows, left=table.left)
-            return "\n".join([*wrapped(above), *([cells] if table.rows else []), *wrapped(below)])
-
-        shows(kind, "text")(text)
-        shows(kind, "html")(lambda result: parts(result)[1].html())
-        return parts
-
-    return enter
 
 
 def wrapped(sentences: Sequence[str]) -> list[str]:
