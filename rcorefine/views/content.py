@@ -40,14 +40,15 @@ class Content:
         Next step, as a line of Python.
     answer : callable
         Returns the answer in three sentences, and whether nothing was found.
-    data : callable
-        Returns what was found, by name.
+    data : callable, optional
+        Returns what was found, by name; where that is not in the public fields.
     columns : callable, optional
         Returns the arguments of a pandas table, where its rows are not those of `data`.
     pictures : dict
-        Function for each method of the result that draws; it takes the `Frame` and the method's arguments.
+        Function for each method of the result that draws; it takes the result, the `Frame` and the method's
+        arguments.
     page : callable, optional
-        Returns the report.
+        Returns the report of the result.
     """
 
     title: str = ""
@@ -56,7 +57,7 @@ class Content:
     below: Sequence[str] = ()
     following: str = ""
     answer: Callable[[], tuple[Sequence[str], bool]] = lambda: ((), True)
-    data: Callable[[], Mapping[str, Any]]
+    data: Callable[[], Mapping[str, Any]] | None = None
     columns: Callable[[], tuple[Any, ...]] | None = None
     pictures: Mapping[str, Callable[..., ct.ControlPlot]] = field(default_factory=dict)
     page: Callable[..., Page] | None = None
@@ -74,13 +75,15 @@ _FIELDS: dict[type, str] = {
 
 @singledispatch
 def content(result: Any) -> Content:
-    """Return the content of a result; of a row, its fields alone."""
-    return Content(data=lambda: fields(result, _FIELDS.get(type(result), "")))
+    """Return the content of a result; a row is its fields alone."""
+    return Content()
 
 
 def fields(value: Any, names: str = "") -> dict[str, Any]:
     """Return the fields named in a text; without names, all public ones."""
-    asked = names.split() or [f.name for f in dataclasses.fields(value) if not f.name.startswith("_")]
+    asked = (names or _FIELDS.get(type(value), "")).split() or [
+        f.name for f in dataclasses.fields(value) if not f.name.startswith("_")
+    ]
     return {name: getattr(value, name) for name in asked}
 
 
@@ -118,7 +121,7 @@ def draw(result: Any, what: str, *args: Any, **options: Any) -> ct.ControlPlot:
         Arguments of the method; those that all pictures share make the `Frame`.
     """
     shared = {name: options.pop(name) for name in OPTIONS if name in options}
-    drawn = content(result).pictures[what](Frame(**shared), *args, **options)
+    drawn = content(result).pictures[what](result, Frame(**shared), *args, **options)
     spell_out(drawn.figure)
     return drawn
 
@@ -139,6 +142,6 @@ def report(
     target = check_target(path, title=title, code=code, overwrite=overwrite)
     make = content(result).page
     assert make is not None
-    page = make(**more)
+    page = make(result, **more)
     own = page.code if code is None else f"{code.rstrip()}\n\n{page.code}"
     return write_page(replace(page, title=title or page.title, code=own), target, overwrite=overwrite)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import control as ct
@@ -15,7 +14,7 @@ from ..inference.refinement import percent
 from ..localization.damage_map import DamageMap, DamageRow
 from ..results import chance, with_error
 from ..systems.linear import Array
-from .content import Content, content, fields
+from .content import Content, content
 from .figures import Frame, plain, unit_text, write_at
 from .tables import TextTable, number
 
@@ -52,9 +51,7 @@ def damage_content(result: DamageMap) -> Content:
     headers = ["scenario", "changes [%]", "fit [%]", "BIC - best", "probability"]
     if scenarios:
         tables.append(TextTable(headers, scenarios, "Scenarios, the most probable first", left=2))
-    return Content(
-        tables=tables, data=lambda: fields(result), pictures={"plot": partial(plot_damage, result)}
-    )
+    return Content(tables=tables, pictures={"plot": plot_damage})
 
 
 def _sentences(result: DamageMap) -> list[str]:

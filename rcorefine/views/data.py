@@ -21,7 +21,8 @@ from .content import content, fields
 
 def as_dict(result: Any) -> dict[str, Any]:
     """Return what was found as plain objects for strict JSON."""
-    return {name: plain(value) for name, value in content(result).data().items()}
+    found = content(result).data
+    return {name: plain(value) for name, value in (found() if found else fields(result)).items()}
 
 
 def plain(value: Any) -> Any:

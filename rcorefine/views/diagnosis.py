@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import control as ct
@@ -21,7 +20,7 @@ from ..engine.simulation import simulated
 from ..exceptions import ModelError
 from ..results import chance, estimate
 from ..systems.linear import Array
-from .bode import BodeUnits, broken_phase
+from .bode import BodeAxes, BodeUnits
 from .content import Content, content, fields
 from .figures import BAND, MEASURED, Frame, plain, style, trace, unit_text, write_at
 from .tables import TextTable, cells, number
@@ -108,7 +107,7 @@ def _plot_of_responses(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
     with frame.axes([1.0, 1.0], 2, figsize=(10.5, 7.2), sharex=False) as (axes, lines):
         lines[0, 0] = _bars(axes[0, 0], found)
         lines[0, 1] = _residual(axes[0, 1], result, [*models], (i, j))
-        lines[1, 0], lines[1, 1] = _curves(axes[1], result, [*models], (i, j))
+        _curves(axes[1], lines[1], result, [*models], (i, j))
         return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 0]], _title_of(found))
 
 
@@ -124,25 +123,20 @@ def _residual(ax: Any, result: FrequencyComparison, names: list[str], at: Any) -
     where = f"{result.measured.input_labels[at[1]]} to {result.measured.output_labels[at[0]]}"
     ax.set(xlabel=unit_text("frequency", units.frequency), title=f"Residual, {where}")
     ax.set_ylabel("|G - Gh| over " + ("std" if known else "|G|"))
-    ax.grid(True, alpha=0.3)
     return drawn
 
 
-def _curves(axes: Any, result: FrequencyComparison, names: list[str], at: Any) -> tuple[list[Any], list[Any]]:
-    units, measured = BodeUnits.from_defaults(), result.measured
-    x = measured.omega * units.frequency_factor
-    dots = {"color": MEASURED, "marker": ".", "ms": 3, "linestyle": "none"}
-    upper = axes[0].loglog(x, measured.magnitude[at], label=measured.name, **dots)
-    lower = axes[1].semilogx(x, measured.phase[at] * units.phase_factor, label=measured.name, **dots)
-    for m, name in enumerate(names):
-        look: dict[str, Any] = dict(style(m)._asdict(), label=name)
-        upper += axes[0].plot(x, np.abs(result.responses[m][at]), **look)
-        where, angle = broken_phase(measured.omega, result.responses[m][at])
-        lower += axes[1].plot(where * units.frequency_factor, angle * units.phase_factor, **look)
-    for axis, what in ((axes[0], "magnitude"), (axes[1], units.phase)):
-        axis.set(xlabel=unit_text("frequency", units.frequency), ylabel=what)
-        axis.grid(True, alpha=0.3)
-    return upper, lower
+def _curves(axes: Any, lines: Any, result: FrequencyComparison, names: list[str], at: Any) -> None:
+    """Draw magnitude and phase of one channel side by side."""
+    measured, (i, j) = result.measured, at
+    drawn = BodeAxes(axes[:, None], lines[:, None], [measured.output_labels[i]], [measured.input_labels[j]])
+    dots = {"color": MEASURED, "marker": ".", "markersize": 3, "linestyle": "none", "label": measured.name}
+    looks = [style(m)._asdict() | {"label": name} for m, name in enumerate(names)]
+    for response, look in zip((measured.response, *result.responses), (dots, *looks), strict=True):
+        drawn.curves(measured.omega, response[None, None, i, j], look)
+    for axis in axes:
+        axis.tick_params(labelbottom=True)
+        axis.set(xlabel=unit_text("frequency", drawn.units.frequency))
 
 
 def ranking_table(found: Diagnosis, *, full: bool = False) -> TextTable:
@@ -313,9 +307,8 @@ def hidden_force_content(found: HiddenForce) -> Content:
     columns = fields(found, "d v force std")
     return Content(
         tables=[TextTable(["signal", "rms", "least", "largest", "unit"], rows, title, [note])],
-        data=lambda: fields(found),
         columns=lambda: (columns, found.timepts, "time"),
-        pictures={"plot": partial(plot_hidden_force, found)},
+        pictures={"plot": plot_hidden_force},
     )
 
 
@@ -351,8 +344,7 @@ def advice_content(advice: ExperimentAdvice) -> Content:
         above=[message],
         tables=[TextTable(["experiment", "cost", "probability", "distance", "reach"], rows)],
         below=rest,
-        data=lambda: fields(advice),
-        pictures={"plot": partial(plot_advice, advice)},
+        pictures={"plot": plot_advice},
     )
 
 
@@ -383,7 +375,6 @@ def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
         ax.set(xlim=(0, 1), xlabel="probability that only the true effect remains")
         heading = "Next experiment (cost in record lengths)" if options else "Nothing to separate"
         ax.set_title(heading if frame.title is None else frame.title)
-        ax.grid(True, axis="x", alpha=0.4)
         lines[0, 0] = [*bars, line]
         legend = None
         if frame.show_legend or (frame.legends and options):
@@ -412,8 +403,7 @@ def confirmation_content(found: Confirmation) -> Content:
         above=[message],
         tables=[TextTable(headers, rows, left=2)],
         below=rest,
-        data=lambda: fields(found),
-        pictures={"plot": partial(plot_confirmation, found)},
+        pictures={"plot": plot_confirmation},
     )
 
 
@@ -445,6 +435,5 @@ def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlo
             axis.set_xticks(places, names)
             axis.set_xlim(-0.5, len(names) - 0.5)
             axis.set_ylabel(unit_text(confirmation.names[i], confirmation.units[i]))
-            axis.grid(True, axis="y", alpha=0.4)
         legends = [axes[0, 0]] if frame.label is not None or frame.show_legend else []
         return frame.finish(axes, lines, legends, f"Each record alone: {confirmation.verdict}")

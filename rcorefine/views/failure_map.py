@@ -129,7 +129,6 @@ def _times(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any
     unit = data.output_units[0] if len(set(data.output_units)) == 1 else ""
     axis.set(xlabel="Time [s]", ylabel=unit_text("Residual", unit))
     axis.margins(x=0.01)
-    axis.grid(True, alpha=0.3)
     if data.n_outputs > 1:
         axis.legend(fontsize="x-small", loc="upper right", ncols=data.n_outputs)
     return list(drawn)
@@ -169,7 +168,6 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
     top = max(3.0, min(2.0 * float(np.nanmax(ratio)), 100.0))
     axis.set(xscale="log", yscale="log", xlim=(x[0], x[-1]), ylim=(low, top))
     log_labels(axis.xaxis)
-    axis.grid(True, which="major", alpha=0.3)
     return list(drawn)
 
 
@@ -210,5 +208,4 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
     axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)
     axis.set_xlabel(unit_text(f"{name} at {force.place}", unit))
     axis.set_ylabel(unit_text("Missing\nforce", force.force_unit))
-    axis.grid(True, alpha=0.3)
     return list(drawn)

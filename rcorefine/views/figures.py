@@ -143,6 +143,9 @@ class Frame:
             lines = np.empty(shape, dtype=object)
             for place in np.ndindex(shape):
                 lines[place] = []
+                axis: Any = axes[place]
+                axis.grid(True, alpha=0.3)
+                axis.set_axisbelow(True)
             yield axes, lines
 
     def labels(self, defaults: Sequence[str]) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import control as ct
@@ -45,9 +44,8 @@ def measurement_content(data: Measurement) -> Content:
     notes += [f"{note}." for note in data.notes]
     return Content(
         tables=[TextTable(headers, rows, title, notes, left=3)],
-        data=lambda: fields(data),
         columns=lambda: (dict(zip(labels, signals, strict=True)), data.timepts, "time"),
-        pictures={"plot": partial(plot_measurement, data)},
+        pictures={"plot": plot_measurement},
     )
 
 
@@ -68,7 +66,6 @@ def plot_measurement(data: Measurement, frame: Frame) -> ct.ControlPlot:
                 axis, data.timepts, signals[row], drawstyle=steps, linewidth=1.0, label=name, **look
             )
             axis.set_ylabel(unit_text(labels[row], units[row]))
-            axis.grid(True, alpha=0.3)
         axes[-1, 0].set_xlabel("Time [s]")
         axes[0, 0].figure.align_ylabels(axes[:, 0])
         legends = [axes[0, 0]] if frame.show_legend or not fresh or frame.legend_loc else []
@@ -126,7 +123,7 @@ def frequency_response_content(measured: FrequencyResponse) -> Content:
         tables=[TextTable(headers, rows, title, notes, left=2)],
         data=lambda: {**names, "response": measured.frdata, **fields(measured, more)},
         columns=lambda: (columns, measured.omega, "omega"),
-        pictures={"plot": partial(plot_frequency_response, measured)},
+        pictures={"plot": plot_frequency_response},
     )
 
 
@@ -158,7 +155,6 @@ def check_content(found: Check) -> Content:
         above=looks or ["No problem found: the record and the model can be compared."],
         tables=[TextTable(_HEADERS, _rows(found.rows), left=4)],
         below=[row.sentence for row in found.rows if row.what == "information" and row not in found.looks],
-        data=lambda: fields(found),
     )
 
 

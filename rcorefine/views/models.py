@@ -227,7 +227,6 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
         ax.set_ylabel(unit_text("RMS error", unit))
         after = f"{improvement.verdict} after {counted(len(steps) - 1, 'step')}"
         ax.set_title(frame.title or f"Error after each step: {after}")
-        ax.grid(True, axis="y", alpha=0.4)
         place = frame.legend_loc if isinstance(frame.legend_loc, str) else "upper right"
         legend = ax.legend(loc=place) if frame.legends else None
     return ct.ControlPlot(lines, axes, ax.figure, legend)
@@ -261,6 +260,5 @@ def parameter_plot(refinement: Refinement) -> ct.ControlPlot:
         axis.margins(x=0.08)
         axis.set_yticks(range(len(rows)), names)
         axis.set(ylim=(len(rows) - 0.4, -0.6), xlabel="Estimate over initial value")
-        axis.grid(True, axis="x", alpha=0.3)
         lines[0, 0] = list(axis.lines)
         return frame.finish(axes, lines, [])

@@ -11,7 +11,7 @@ import hashlib
 import io
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
@@ -35,7 +35,7 @@ from ..jit import NUMBA
 from ..systems.linear import Array
 from ..version import __version__
 from ..writing import replacing
-from .tables import TextTable, html_table, number
+from .tables import TextTable, number
 
 #: Pictures are drawn dark on white. In the dark they are inverted and their hues turned back, so that
 #: one picture serves both and curves keep their color.
@@ -155,7 +155,7 @@ def boxed(tables: Iterable[TextTable | Sequence[str]]) -> list[str]:
     """Tables that have rows, in boxes that scroll, and sentences between them."""
     return [
         f'<div class="scroll" role="region" tabindex="0" aria-label="{escape(table.title or "Table")}">'
-        f"{html_table(table.headers, table.rows, title=table.title, left=table.left)}</div>"
+        f"{replace(table, notes=()).html()}</div>"
         f'<div class="notes">{paragraphs(table.notes)}</div>'
         if isinstance(table, TextTable)
         else paragraphs(table)

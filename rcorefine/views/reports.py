@@ -75,8 +75,8 @@ def comparison_content(result: Comparison) -> Content:
         answer=partial(_comparison_answer, result),
         data=lambda: {"models": _models(result)},
         columns=lambda: (_fits(result),),
-        pictures={"plot": partial(plot_comparison, result)},
-        page=partial(_comparison_page, result),
+        pictures={"plot": plot_comparison},
+        page=_comparison_page,
     )
 
 
@@ -157,9 +157,8 @@ def responses_content(result: FrequencyComparison) -> Content:
     return Content(
         tables=[responses_table(result)],
         answer=partial(_response_answer, result),
-        data=lambda: fields(result),
-        pictures={"plot": partial(plot_responses, result)},
-        page=partial(_response_page, result),
+        pictures={"plot": plot_responses},
+        page=_response_page,
     )
 
 
@@ -194,8 +193,8 @@ def diagnosis_content(found: Diagnosis) -> Content:
         following=next_step(found),
         answer=partial(_diagnosis_answer, found),
         data=lambda: {**fields(found, told + "significance notes checks"), "next_step": next_step(found)},
-        pictures={"plot": partial(plot_diagnosis, found)},
-        page=partial(_diagnosis_page, found),
+        pictures={"plot": plot_diagnosis},
+        page=_diagnosis_page,
     )
 
 
@@ -286,8 +285,8 @@ def improvement_content(found: Improvement) -> Content:
         following=next_step(found),
         answer=partial(_improvement_answer, found),
         data=lambda: {**fields(found, told), "next_step": next_step(found), **_model(found.refinement)},
-        pictures={"plot": partial(plot_staircase, found)},
-        page=partial(_improvement_page, found),
+        pictures={"plot": plot_staircase},
+        page=_improvement_page,
     )
 
 
@@ -336,8 +335,8 @@ def refinement_content(found: Refinement) -> Content:
         below=found.sentences(),
         answer=partial(_refinement_answer, found),
         data=lambda: {**_model(found), **fields(found, "fit rmse initial_fit success message warnings")},
-        pictures={"bode_plot": partial(plot_bode, found), "response_plot": partial(plot_response, found)},
-        page=partial(_refinement_page, found),
+        pictures={"bode_plot": plot_bode, "response_plot": plot_response},
+        page=_refinement_page,
     )
 
 
@@ -412,28 +411,26 @@ def _bode_picture(refinement: Refinement, data: Measurement | None) -> Picture:
 # ------------------------------------------------------------------ answers
 def _comparison_answer(result: Comparison) -> tuple[list[str], bool]:
     """Answer how well the models fit, where they fail, and what to do."""
-    fits = np.nanmean(np.atleast_2d(result.fit), axis=1) if not np.isnan(result.fit).all() else None
-    data = result.data
-    best = best_of(result)
-    if fits is None:
+    fits, data, best = np.atleast_2d(result.fit), result.data, best_of(result)
+    name, ahead = result.names[best], "One sample ahead, " if result.led else ""
+    if np.isnan(fits).all():
         first = f"The measured output of {data.name} is constant, so there is nothing to explain."
-    elif len(result.names) == 1:
-        first = f"The simulation of {result.names[0]} explains {fits[0]:.4g} % of the record {data.name}."
     else:
-        others = ", ".join(f"{n} {fits[i]:.4g} %" for i, n in enumerate(result.names) if i != best)
-        first = (
-            f"{result.names[best]} comes closest: it explains {fits[best]:.4g} % of the record "
-            f"{data.name} ({others})."
-        )
+        means = [f"{fit:.4g} %" for fit in np.nanmean(fits, axis=1)]
+        others = ", ".join(f"{n} {means[i]}" for i, n in enumerate(result.names) if i != best)
+        verb = f"{'predicts' if result.led else 'explains'} {means[best]} of the record {data.name}"
+        first = f"{ahead or 'The simulation of '}{name} {verb}."
+        if others:
+            first = f"{name} comes closest: {ahead.lower()}it {verb} ({others})."
     found = failures_of(result, best)
     rmse = np.atleast_2d(result.rmse)[best]
     sizes = ", ".join(
-        f"{number(rmse[i], 3)}{' ' + data.output_units[i] if data.output_units[i] else ''} in {label}"
-        for i, label in enumerate(data.output_labels)
+        f"{number(size, 3)}{' ' * bool(unit)}{unit} in {label}"
+        for size, unit, label in zip(rmse, data.output_units, data.output_labels, strict=True)
     )
     if result.led:
         return [
-            first.replace("The simulation of", "One sample ahead,").replace(" explains", " predicts"),
+            first,
             f"The typical one-step prediction error is {sizes}.",
             "This does not show that an unstable model is adequate; use diagnose to test it.",
         ], True
@@ -454,22 +451,19 @@ def _comparison_answer(result: Comparison) -> tuple[list[str], bool]:
 
 def _response_answer(result: FrequencyComparison) -> tuple[list[str], bool]:
     """Answer how well the models meet a measured response, and where not."""
-    measured = result.measured
-    fits = result.fit if result.several else result.fit[None]
+    measured, figures = result.measured, (result.fit, result.relative_error, result.worst)
+    fits, error, worst = (one if result.several else one[None] for one in figures)
     means = np.nan_to_num(fits, nan=-np.inf).reshape(len(result.names), -1).mean(axis=1)
     best = int(np.argmax(means))
-    error = result.relative_error if result.several else result.relative_error[None]
-    worst = result.worst if result.several else result.worst[None]
     i, j = np.unravel_index(int(np.argmin(np.nan_to_num(fits[best], nan=np.inf))), fits[best].shape)
     others = ", ".join(f"{n} {means[k]:.4g} %" for k, n in enumerate(result.names) if k != best)
     path = f"from {measured.input_labels[j]} to {measured.output_labels[i]}"
-    typical = float(np.nanmedian(error[best]))
     return [
         f"{result.names[best]} explains {means[best]:.4g} % of the measured response {measured.name}"
         + (f" ({others})." if others else "."),
         f"It deviates most near {worst[best, i, j]:.4g} rad/s, {path}.",
-        f"The typical relative error is {100 * typical:.3g} %; a record over time would show whether that "
-        "is noise.",
+        f"The typical relative error is {100 * np.nanmedian(error[best]):.3g} %; a record over time would "
+        "show whether that is noise.",
     ], False
 
 
@@ -477,33 +471,23 @@ def _diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
     """Answer which effect is missing, how sure that is, and what to do."""
     first = found.sentences()[0]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
-    if worst is None:
-        second = "No test was possible."
-    elif found.verdict == "adequate":
-        second = no_test_fires(found)
-    else:
-        p = chance(worst.p_value, "p")
-        second = (
-            f"The model as given fails the residual tests, most significantly this one: {worst.name}, {p}."
-        )
     if found.verdict == "adequate":
-        seen = ", ".join(
-            f"{d.effect.label} {number(d.smallest, 3)} {d.unit}".strip() for d in found.detectable[:3]
-        )
-        third = (
-            f"Smallest effects that it would show (95 % probability): {seen}."
-            if seen
-            else "Adding an effect would only fit the noise."
-        )
-        return [first, second, third], True
+        seen = [f"{d.effect.label} {number(d.smallest, 3)} {d.unit}".strip() for d in found.detectable[:3]]
+        third = "Adding an effect would only fit the noise."
+        if seen:
+            third = f"Smallest effects that it would show (95 % probability): {', '.join(seen)}."
+        return [first, "No test was possible." if worst is None else no_test_fires(found), third], True
+    second = "No test was possible."
+    if worst is not None:
+        second = "The model as given fails the residual tests, most significantly this one: "
+        second += f"{worst.name}, {chance(worst.p_value, 'p')}."
+    table = " law() returns the force as a table." * (found.open_law is not None)
     third = {
         "parameters": numbers_that_moved(found.parameters),
         "effect": "Add it with refine, and validate the result on held-out data.",
         "ambiguous": found.sentences()[-1 - len(found.notes)],
-        "unexplained": "Do not trust the closest candidate: the missing effect is not in the library. law() "
-        "returns the force as a table."
-        if found.open_law is not None
-        else "Do not trust the closest candidate: the missing effect is not in the library.",
+        "unexplained": "Do not trust the closest candidate: the missing effect is not in the library."
+        + table,
     }[found.verdict]
     return [first, second, third], False
 

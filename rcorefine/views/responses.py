@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 import control as ct
@@ -14,7 +13,7 @@ from ..data.frequency_response import FrequencyResponse
 from ..engine.amplitude_response import AmplitudeResponse
 from ..results import frequency_text
 from .bode import BodeAxes, bode
-from .content import Content, content, fields
+from .content import Content, content
 from .figures import Frame, style
 from .tables import TextTable, number
 
@@ -44,8 +43,7 @@ def levels_content(result: LevelComparison) -> Content:
     rows = [[level_name(level.measured), *row] for level in result.levels for row in _rows(level)]
     return Content(
         tables=[TextTable(["response", *_HEADERS], rows, title, _NOTES, left=4)],
-        data=lambda: fields(result),
-        pictures={"plot": partial(plot_levels, result)},
+        pictures={"plot": plot_levels},
     )
 
 
@@ -150,7 +148,6 @@ def amplitude_content(found: AmplitudeResponse) -> Content:
     headers = ["amplitude", "output", "largest |G|", "at [rad/s]", "distortion [%]"]
     return Content(
         tables=[TextTable(headers, rows, title, _LEVEL_NOTES, left=2)],
-        data=lambda: fields(found),
         columns=lambda: (_points(found),),
     )
 

@@ -56,7 +56,7 @@ def survey_content(found: Survey) -> Content:
         below=[*more, *said[1:]],
         answer=lambda: (said, not found.finds),
         data=lambda: {**fields(found, "task mode significance rows effects trends"), "summary": said},
-        pictures={"plot": partial(plot_survey, found)},
+        pictures={"plot": plot_survey},
     )
 
 
@@ -92,7 +92,6 @@ def _panel(panel: Any, effect: FleetEffect) -> list[Any]:
     else:
         panel.set_xlabel(f"machine (of {len(machines)})")
     panel.axhline(0.0, color="black", linewidth=0.6)
-    panel.grid(True, axis="y", alpha=0.3)
     return drawn
 
 
@@ -235,7 +234,6 @@ def _course(found: Survey, machine: str) -> ct.ControlPlot:
             lines[k, 0] = [axis.errorbar(*zip(*points, strict=True), **look)]
             axis.set_ylabel(unit_text(key[0], entries[0][1].unit))
             axis.set_title(plain(f"at {key[1]}"), fontsize="small")
-            axis.grid(True, alpha=0.3)
         axes[-1, 0].set_xlabel("record")
         return frame.finish(axes, lines, [])
 
@@ -255,7 +253,6 @@ def exercise_content(exercise: Exercise) -> Content:
             if exercise.has_answer
             else "hand_in(path, student, kind, place, coefficient) writes your answer.",
         ],
-        data=lambda: fields(exercise),
     )
 
 
@@ -270,14 +267,14 @@ def grades_content(found: Grades) -> Content:
         rows.append([row.student, row.plant, str(row.level or "-"), *figures][shown])
     note = "Points: 0.6 for the effect, 0.3 for its place alone, 0.4 for the coefficient."
     table = TextTable(headers[shown], rows, "Answers", [note], 6)
-    return Content(tables=[table], data=lambda: fields(found), page=partial(_class_page, found, table))
+    return Content(tables=[table], page=partial(_class_page, table))
 
 
 def _right(rows: Sequence[Any]) -> int:
     return sum(row.effect in ("right", "tied") for row in rows)
 
 
-def _class_page(found: Grades, table: TextTable) -> Page:
+def _class_page(table: TextTable, found: Grades) -> Page:
     graded = [row for row in found.rows if not row.remark]
     near = sum(row.coefficient == "near enough" for row in graded)
     left = len(found.rows) - len(graded)
