@@ -39,7 +39,7 @@ BUDGET = {
     ".": 7740, "arguments": 2156, "commands": 8341, "comparison": 28188, "data": 24688, "diagnosis": 73447,
     "effects": 30700, "engine": 49921, "examples": 2261, "exercises": 5074, "explorer": 11520, "export":
     6216, "fleet": 10362, "inference": 32730, "localization": 11722, "models": 42575, "refinement": 1850,
-    "streaming": 73542, "systems": 5887, "views": 39673,
+    "streaming": 73542, "systems": 5887, "views": 39735,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.

@@ -30,8 +30,8 @@ class Content:
 
     Parameters
     ----------
-    title : str
-        First line.
+    title, verdict : str
+        First line, in text with the verdict in capitals.
     above, below : sequence of str
         Sentences above and below the tables.
     tables : sequence of TextTable
@@ -52,6 +52,7 @@ class Content:
     """
 
     title: str = ""
+    verdict: str = ""
     above: Sequence[str] = ()
     tables: Sequence[TextTable] = ()
     below: Sequence[str] = ()
@@ -92,7 +93,8 @@ def as_text(result: Any) -> str:
     """Return a result as text of at most 80 columns."""
     shown = content(result)
     tables = [table.text() for table in shown.tables]
-    return "\n".join([*wrapped([shown.title, *shown.above]), *filter(None, tables), *wrapped(_below(shown))])
+    head = _head(shown, shown.verdict.upper())
+    return "\n".join([*wrapped([head, *shown.above]), *filter(None, tables), *wrapped(_below(shown))])
 
 
 def as_html(result: Any) -> str:
@@ -100,8 +102,12 @@ def as_html(result: Any) -> str:
     shown = content(result)
     first, *more = shown.tables
     notes = [*shown.above, *first.notes, *_below(shown)]
-    first = replace(first, title=shown.title or first.title, notes=notes)
+    first = replace(first, title=_head(shown, shown.verdict) or first.title, notes=notes)
     return "".join(table.html() for table in (first, *more))
+
+
+def _head(shown: Content, verdict: str) -> str:
+    return f"{shown.title}: {verdict}" if verdict else shown.title
 
 
 def _below(shown: Content) -> list[str]:

@@ -399,7 +399,8 @@ def confirmation_content(found: Confirmation) -> Content:
             rows.append(["" if i else one.name, name, *figures, *([""] * 3 if i else tail)])
     message, *rest = found.sentences()
     return Content(
-        title=f"Further records: {found.verdict.upper()}",
+        title="Further records",
+        verdict=found.verdict,
         above=[message],
         tables=[TextTable(headers, rows, left=2)],
         below=rest,

@@ -187,7 +187,8 @@ def diagnosis_content(found: Diagnosis) -> Content:
     answer, *more = found.sentences()
     told = "verdict ranking none_of_these places ambiguous parameters tests winner_tests detectable "
     return Content(
-        title=f"Diagnosis: {found.verdict.upper()}",
+        title="Diagnosis",
+        verdict=found.verdict,
         above=[answer, *warned(found.checks, explained, places), *more],
         tables=[ranking_table(found) if found.floated is None else estimates_table(found.parameters)],
         following=next_step(found),
@@ -278,7 +279,8 @@ def improvement_content(found: Improvement) -> Content:
     odd = warned(found.checks, found.verdict in ("adequate", "parameters"), [e.place for e in found.effects])
     told = "verdict message steps checks"
     return Content(
-        title=f"Improvement in {counted(len(found.steps) - 1, 'step')}: {found.verdict.upper()}",
+        title=f"Improvement in {counted(len(found.steps) - 1, 'step')}",
+        verdict=found.verdict,
         above=odd,
         tables=[_steps_table(found)],
         below=found.sentences(),
