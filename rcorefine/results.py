@@ -1,8 +1,6 @@
 """Base classes of results, and numbers as text.
 
-The function that shows a result is looked up, never imported.
-
-The views register themselves when they are loaded, which happens on first use.
+What shows a result is looked up, never imported: `views` is loaded on first use.
 """
 
 from __future__ import annotations
@@ -27,58 +25,33 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_views: dict[tuple[type, str], Callable[..., Any]] = {}
 
-
-def shows(kind: type, what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Register a function as a view of a class.
-
-    It shows results of this class as "text", "html", "plot", ...
-    """
-
-    def enter(view: Callable[P, T]) -> Callable[P, T]:
-        _views[kind, what] = view
-        return view
-
-    return enter
+def views() -> Any:
+    """Return the package that shows results, which is loaded on first use."""
+    return import_module(f"{__package__}.views")
 
 
 def show(result: object, what: str, *args: Any, **options: Any) -> Any:
-    """Show a result by the view that was entered for its class.
+    """Draw the picture that a method of a result asks for.
 
     Parameters
     ----------
     result : object
         Result.
     what : str
-        "text", "html", or the name of the method that asks.
+        Name of the method.
     *args, **options
-        For the view.
+        Its arguments.
 
     Raises
     ------
     TypeError
         If an option does not exist.
     """
-    method = getattr(type(result), what, None)
-    unknown = [] if method is None else [name for name in options if name not in _parameters(method)]
-    if unknown:
+    known = inspect.signature(getattr(type(result), what)).parameters
+    if unknown := [name for name in options if name not in known]:
         raise TypeError(f"{type(result).__name__}.{what}() got an unexpected keyword argument {unknown[0]!r}")
-    return _view(type(result), what)(result, *args, **options)
-
-
-def _view(kind: type, what: str) -> Callable[..., Any]:
-    """Return the view of a class or of one of its base classes.
-
-    The views are loaded if none is found.
-    """
-    for loaded in (False, True):
-        if loaded:
-            import_module(f"{__package__}.views")
-        for base in kind.__mro__:
-            if (base, what) in _views:
-                return _views[base, what]
-    raise TypeError(f"nothing shows a {kind.__name__} as {what!r}")
+    return views().draw(result, what, *args, **options)
 
 
 class Data:
@@ -94,7 +67,7 @@ class Data:
         dict
             Lists, dicts, numbers and text; what is not finite is None, a complex number has "re" and "im".
         """
-        return dict(show(self, "to_dict"))
+        return dict(views().as_dict(self))
 
     def to_dataframe(self) -> Any:
         """The rows of what was found, or its signals.
@@ -108,7 +81,7 @@ class Data:
         MissingExtraError
             If pandas is not installed.
         """
-        return show(self, "to_dataframe")
+        return views().as_frame(self)
 
 
 class Row(Data):
@@ -133,10 +106,10 @@ class Result(Data):
         return f"<{first.strip()}>" if first.startswith(kind) else f"<{kind}: {first.strip()}>"
 
     def __str__(self) -> str:
-        return "\n".join(map(printable, str(show(self, "text")).split("\n")))
+        return "\n".join(map(printable, views().as_text(self).split("\n")))
 
     def _repr_html_(self) -> str:
-        return str(show(self, "html"))
+        return str(views().as_html(self))
 
 
 class Reported(Result):
@@ -179,7 +152,7 @@ class Reported(Result):
         FileExistsError
             If another file is there.
         """
-        return Path(show(self, "report", path, title=title, code=code, overwrite=overwrite))
+        return Path(views().report(self, path, title=title, code=code, overwrite=overwrite))
 
 
 class ReportedModel(Result):
@@ -228,7 +201,7 @@ class ReportedModel(Result):
         FileExistsError
             If another file is there.
         """
-        return Path(show(self, "report", path, data=data, title=title, code=code, overwrite=overwrite))
+        return Path(views().report(self, path, data=data, title=title, code=code, overwrite=overwrite))
 
 
 class Look(TypedDict, total=False):
@@ -283,10 +256,6 @@ def picture(draw: Callable[P, T]) -> Callable[P, T]:
         above += "\nParameters\n----------\n"
     draw.__doc__ = above + "".join(texts) + returns + below
     return draw
-
-
-def _parameters(method: Any) -> Mapping[str, inspect.Parameter]:
-    return inspect.signature(method).parameters
 
 
 _SURE = 0.995  # where two digits would make it a certainty

@@ -44,9 +44,9 @@ from ..models.library import effect_library
 from ..models.reading import read_model
 from ..version import __version__
 from ..views.code import comment
+from ..views.content import content
 from ..views.data import plain
 from ..views.page import check_target, fingerprint
-from ..views.reports import comparison_answer, diagnosis_answer, improvement_answer
 from ..views.tables import wrapped
 from ..writing import replacing
 
@@ -85,7 +85,7 @@ def run_compare(arguments: Namespace) -> int:
     one = len(models) == 1
     result = compare(models[0] if one else models, record, x0=arguments.x0, horizon=arguments.horizon)
     failures = failures_of(result, best_of(result))
-    sentences, _ = comparison_answer(result)
+    sentences, _ = content(result).answer()
     return finish(arguments, bool(failures), sentences, result, record, text=f"{result}\n{failures}")
 
 
@@ -108,7 +108,7 @@ def run_diagnose(arguments: Namespace) -> int:
     """
     model, data, validation = opened(arguments)
     found = diagnose(model, data, validation=validation, **_options(arguments, model))
-    sentences, fine = diagnosis_answer(found)
+    sentences, fine = content(found).answer()
     return finish(arguments, not fine, sentences, found, data)
 
 
@@ -117,7 +117,7 @@ def run_improve(arguments: Namespace) -> int:
     model, data, validation = opened(arguments)
     options = _options(arguments, model)
     improvement = improve(model, data, validation=validation, max_effects=arguments.max_effects, **options)
-    sentences, fine = improvement_answer(improvement)
+    sentences, fine = content(improvement).answer()
     text, shown = f"{improvement}\n{improvement.refinement}", data if validation is None else validation
     return finish(arguments, not fine, sentences, improvement, data, text=text, beside=shown)
 

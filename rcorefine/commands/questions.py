@@ -23,7 +23,7 @@ from ..refinement.refine import refine
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
 from ..views.bode import bode_comparison, bode_grid
-from ..views.reports import refinement_answer
+from ..views.content import content
 from ..views.tables import wrapped
 from ..writing import replacing
 from .analysis import check_targets, finish, fit_options, opened, read_record, wanted_candidates
@@ -36,7 +36,7 @@ def run_refine(arguments: Namespace) -> int:
     model, data, held_out = opened(arguments)
     effects = wanted_candidates(model, arguments.candidates) or []
     found = refine(model, data, effects, **fit_options(arguments))
-    sentences, fine = refinement_answer(found)
+    sentences, fine = content(found).answer()
     shown = data if held_out is None else held_out
     draw = partial(found.bode_plot, shown)
     return finish(arguments, not fine, sentences, found, data, draw=draw, beside=shown)

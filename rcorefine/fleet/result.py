@@ -16,7 +16,7 @@ import control as ct
 
 from ..arguments import as_text
 from ..exceptions import ModelError
-from ..results import Options, Result, chance, counted, picture, show, with_error
+from ..results import Options, Result, chance, counted, picture, show, views, with_error
 from .comparison import FleetEffect, MachineEffect, SurveyRow, Trend
 from .conditions import Breach, breaches
 
@@ -221,7 +221,7 @@ class Survey(Result):
         FileExistsError
             If the folder holds something else, or a file there is no report.
         """
-        return Path(show(self, "report", folder, title=title, code=code, overwrite=overwrite))
+        return Path(views().report(self, folder, title=title, code=code, overwrite=overwrite))
 
 
 def _words(effect: FleetEffect) -> str:

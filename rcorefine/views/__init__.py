@@ -1,10 +1,22 @@
 """Tables, pictures and reports of results.
 
-Each view registers itself for the class that it shows.
+`content` describes a result of each class; text, HTML, data and report are made from that.
 """
 
-from . import comparison, damage_map, data, diagnosis, measurement, models, reports, streaming, survey  # noqa: F401
+from . import damage_map, diagnosis, measurement, models, reports, streaming, survey  # noqa: F401
 from .bode import bode_comparison
+from .content import as_html, as_text, draw, report
+from .data import as_dict, as_frame
 from .tables import html_table, text_table
 
-__all__ = ["bode_comparison", "html_table", "text_table"]
+__all__ = [
+    "as_dict",
+    "as_frame",
+    "as_html",
+    "as_text",
+    "bode_comparison",
+    "draw",
+    "html_table",
+    "report",
+    "text_table",
+]

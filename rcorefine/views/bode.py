@@ -103,8 +103,6 @@ class BodeAxes:
             for axis in block:
                 axis.set_xscale("log")
                 log_labels(axis.xaxis)
-                axis.grid(True, which="major", alpha=0.35)
-                axis.grid(True, which="minor", alpha=0.12)
                 # python-control labels each axes and asks for these attributes when it draws on top
                 axis.tick_params(labelbottom=False)
             if not self.units.dB:

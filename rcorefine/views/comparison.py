@@ -16,8 +16,8 @@ from ..comparison.signals import Decay, correlogram, decay_of
 from ..exceptions import DataError
 from .bode import bode
 from .failure_map import plot_map
-from .figures import BAND, MEASURED, Frame, busiest_stretch, draws, plain, style, trace, unit_text
-from .tables import TextTable, number, tabulates
+from .figures import BAND, MEASURED, Frame, busiest_stretch, plain, style, trace, unit_text
+from .tables import TextTable, number
 
 
 def plot_decay(result: Comparison, frame: Frame) -> ct.ControlPlot:
@@ -42,7 +42,6 @@ def plot_decay(result: Comparison, frame: Frame) -> ct.ControlPlot:
             texts = [f"Amplitude of {label}", "Damping ratio [%]", "Period [s]", "Frequency [Hz]"]
             for axis, text in zip(block.ravel(), texts, strict=True):
                 axis.set_ylabel(unit_text(text, unit) if "Ampl" in text else text)
-                axis.grid(True, alpha=0.3)
             block[0, 0].set_yscale("log")
             block[0, 1].set_ylim(0.0, 1.3 * 100 * float(np.max(measured.damping_ratio)))
             below = ((measured.period, "Time [s]"), (1 / measured.period, unit_text("Amplitude", unit)))
@@ -68,7 +67,6 @@ _START = {
 }
 
 
-@tabulates(Comparison)
 def comparison_table(result: Comparison) -> TextTable:
     """One row per model and output."""
     data = result.data
@@ -116,7 +114,6 @@ def _how(result: Comparison) -> str:
     )
 
 
-@draws(Comparison)
 def plot_comparison(
     result: Comparison, frame: Frame, kind: str = "time", *, measured: Any = None, omega: Any = None
 ) -> ct.ControlPlot:
@@ -168,8 +165,6 @@ def plot_time(result: Comparison, frame: Frame) -> ct.ControlPlot:
             _focus(upper, data.outputs[i], result.runs[:, i])
             upper.set_ylabel(unit_text(output, unit))
             lower.set_ylabel(unit_text("Residual", unit))
-            for axis in (upper, lower):
-                axis.grid(True, alpha=0.3)
         axes[-1, 0].set_xlabel("Time [s]")
         axes[-1, 0].margins(x=0.01)
         if stretch is not None:
@@ -246,7 +241,6 @@ def plot_residual(result: Comparison, frame: Frame) -> ct.ControlPlot:
                 axis.set_title(plain(heading), fontsize="medium")
             if j == 0:
                 axis.set_ylabel(plain(f"Correlation\n{data.output_labels[i]}"))
-            axis.grid(True, alpha=0.3)
         for axis in axes[-1]:
             axis.set_xlabel("Lag [samples]")
         return frame.finish(axes, lines, [axes[0, 0]], f"Residuals on record {data.name}")
@@ -269,7 +263,6 @@ def plot_horizon(result: Comparison, frame: Frame) -> ct.ControlPlot:
                 )  # fmt: skip
             label = unit_text(f"RMSE of {data.output_labels[i]}", data.output_units[i])
             axis.set(xscale="log", yscale="log", ylabel=label)
-            axis.grid(True, which="both", alpha=0.25)
         axes[-1, 0].set_xlabel("Prediction horizon [s]")
         title = f"Error against prediction horizon, record {data.name}"
         return frame.finish(axes, lines, [axes[0, 0]], title)

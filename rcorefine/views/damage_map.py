@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import control as ct
@@ -14,10 +12,11 @@ from ..arguments import as_text
 from ..exceptions import ModelError
 from ..inference.refinement import percent
 from ..localization.damage_map import DamageMap, DamageRow
-from ..results import chance, shows, with_error
+from ..results import chance, with_error
 from ..systems.linear import Array
-from .figures import Frame, draws, plain, unit_text, write_at
-from .tables import WIDTH, TextTable, number
+from .content import Content, content
+from .figures import Frame, plain, unit_text, write_at
+from .tables import TextTable, number
 
 _CHANGED, _UNCHANGED = "0.25", "0.85"
 
@@ -28,8 +27,9 @@ def _value(row: DamageRow, figure: float, share: float) -> str:
     return f"{share:.3g}" if abs(share) < 1e-3 else f"{share:.3f}" if abs(share) < 10 else f"{share:.2f}"
 
 
-def _tables(result: DamageMap) -> list[TextTable]:
-    """The change of each place, and the scenarios if there are any."""
+@content.register
+def damage_content(result: DamageMap) -> Content:
+    """Return the content of a damage map: each place, and the scenarios."""
     changes = []
     for row in result.rows:
         limit = _value(row, row.limit, row.limit_percent) if np.isfinite(row.limit) else "none"
@@ -40,8 +40,6 @@ def _tables(result: DamageMap) -> list[TextTable]:
     title = f"Damage in {result.name!r}: {result.n_samples} samples, {number(result.duration)} s"
     headers = ["what", "place", "model", "unit", "change", "95 % +/-", "limit", "p", ""]
     tables = [TextTable(headers, changes, title, _sentences(result), left=2)]
-    if not result.ranking:
-        return tables
     scenarios = []
     for one in result.ranking:
         parts = [
@@ -51,7 +49,9 @@ def _tables(result: DamageMap) -> list[TextTable]:
         figures = [f"{min(one.fit):.4g}", f"{one.bic - result.ranking[0].bic:.1f}", f"{one.probability:.3g}"]
         scenarios.append([one.name, ", ".join(parts) or "-", *figures])
     headers = ["scenario", "changes [%]", "fit [%]", "BIC - best", "probability"]
-    return [*tables, TextTable(headers, scenarios, "Scenarios, the most probable first", left=2)]
+    if scenarios:
+        tables.append(TextTable(headers, scenarios, "Scenarios, the most probable first", left=2))
+    return Content(tables=tables, pictures={"plot": plot_damage})
 
 
 def _sentences(result: DamageMap) -> list[str]:
@@ -102,22 +102,6 @@ def _verdict(result: DamageMap) -> str:
     return f"Changed: {'; '.join(parts)}."
 
 
-@shows(DamageMap, "text")
-def damage_text(result: DamageMap) -> str:
-    """Tables of places and scenarios, at most 80 columns."""
-    first, *more = _tables(result)
-    tables = [replace(first, notes=()).text(), *("\n" + replace(one, title=None).text() for one in more)]
-    notes = [textwrap.wrap(note, WIDTH, subsequent_indent="  ") for note in first.notes]
-    return "\n".join([*tables, *(line for lines in notes for line in lines)])
-
-
-@shows(DamageMap, "html")
-def damage_html(result: DamageMap) -> str:
-    """Return the damage map as HTML."""
-    return "".join(table.html() for table in _tables(result))
-
-
-@draws(DamageMap)
 def plot_damage(result: DamageMap, frame: Frame, *, kind: str | None = None) -> ct.ControlPlot:
     """Bar chart along the structure; see `DamageMap.plot`."""
     kinds = list(dict.fromkeys(row.kind for row in result.rows))

@@ -11,20 +11,19 @@ from scipy.signal import welch
 from ..comparison.compare import compare
 from ..comparison.responses import FrequencyComparison
 from ..data.measurement import Measurement
-from ..diagnosis.check_rows import warned
 from ..diagnosis.confirm import Confirmation
 from ..diagnosis.experiments import ExperimentAdvice
 from ..diagnosis.open_law import HiddenForce
-from ..diagnosis.result import Diagnosis, next_step
+from ..diagnosis.result import Diagnosis
 from ..effects.effect import unit_forces
 from ..engine.simulation import simulated
 from ..exceptions import ModelError
 from ..results import chance, estimate
 from ..systems.linear import Array
-from .bode import BodeUnits, broken_phase
-from .figures import BAND, MEASURED, Frame, draws, plain, style, trace, unit_text, write_at
-from .models import estimates_table
-from .tables import TextTable, Told, cells, number, tabulates, tells
+from .bode import BodeAxes, BodeUnits
+from .content import Content, content, fields
+from .figures import BAND, MEASURED, Frame, plain, style, trace, unit_text, write_at
+from .tables import TextTable, cells, number
 
 _SHOWN = 8
 
@@ -108,7 +107,7 @@ def _plot_of_responses(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
     with frame.axes([1.0, 1.0], 2, figsize=(10.5, 7.2), sharex=False) as (axes, lines):
         lines[0, 0] = _bars(axes[0, 0], found)
         lines[0, 1] = _residual(axes[0, 1], result, [*models], (i, j))
-        lines[1, 0], lines[1, 1] = _curves(axes[1], result, [*models], (i, j))
+        _curves(axes[1], lines[1], result, [*models], (i, j))
         return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 0]], _title_of(found))
 
 
@@ -124,59 +123,55 @@ def _residual(ax: Any, result: FrequencyComparison, names: list[str], at: Any) -
     where = f"{result.measured.input_labels[at[1]]} to {result.measured.output_labels[at[0]]}"
     ax.set(xlabel=unit_text("frequency", units.frequency), title=f"Residual, {where}")
     ax.set_ylabel("|G - Gh| over " + ("std" if known else "|G|"))
-    ax.grid(True, alpha=0.3)
     return drawn
 
 
-def _curves(axes: Any, result: FrequencyComparison, names: list[str], at: Any) -> tuple[list[Any], list[Any]]:
-    units, measured = BodeUnits.from_defaults(), result.measured
-    x = measured.omega * units.frequency_factor
-    dots = {"color": MEASURED, "marker": ".", "ms": 3, "linestyle": "none"}
-    upper = axes[0].loglog(x, measured.magnitude[at], label=measured.name, **dots)
-    lower = axes[1].semilogx(x, measured.phase[at] * units.phase_factor, label=measured.name, **dots)
-    for m, name in enumerate(names):
-        look: dict[str, Any] = dict(style(m)._asdict(), label=name)
-        upper += axes[0].plot(x, np.abs(result.responses[m][at]), **look)
-        where, angle = broken_phase(measured.omega, result.responses[m][at])
-        lower += axes[1].plot(where * units.frequency_factor, angle * units.phase_factor, **look)
-    for axis, what in ((axes[0], "magnitude"), (axes[1], units.phase)):
-        axis.set(xlabel=unit_text("frequency", units.frequency), ylabel=what)
-        axis.grid(True, alpha=0.3)
-    return upper, lower
+def _curves(axes: Any, lines: Any, result: FrequencyComparison, names: list[str], at: Any) -> None:
+    """Draw magnitude and phase of one channel side by side."""
+    measured, (i, j) = result.measured, at
+    drawn = BodeAxes(axes[:, None], lines[:, None], [measured.output_labels[i]], [measured.input_labels[j]])
+    dots = {"color": MEASURED, "marker": ".", "markersize": 3, "linestyle": "none", "label": measured.name}
+    looks = [style(m)._asdict() | {"label": name} for m, name in enumerate(names)]
+    for response, look in zip((measured.response, *result.responses), (dots, *looks), strict=True):
+        drawn.curves(measured.omega, response[None, None, i, j], look)
+    for axis in axes:
+        axis.tick_params(labelbottom=True)
+        axis.set(xlabel=unit_text("frequency", drawn.units.frequency))
 
 
-@tells(Diagnosis)
-def diagnosis_told(found: Diagnosis) -> Told:
-    """The verdict in words, and the ranking."""
-    explained = found.verdict in ("adequate", "parameters", "effect")
-    places = () if found.best is None else tuple(e.place for e in found.best.effects)
-    answer, *more = found.sentences()
-    odd = warned(found.checks, explained, places)
-    above = [f"Diagnosis: {found.verdict.upper()}", answer, *odd, *more]
-    title, following = f"Diagnosis: {found.verdict}", f"Next: {next_step(found)}"
-    if found.floated is not None:
-        return above, estimates_table(found.parameters, title, [*above[1:], following]), [following]
-    headers = ["effect", "value", "std", "fit %", "p-value"]
+def ranking_table(found: Diagnosis, *, full: bool = False) -> TextTable:
+    """Candidate effects that were refitted; in full with all coefficients."""
     # no probability for what fails its own tests
-    named = found.verdict != "unexplained" and np.isnan(found.adequate_to)
-    headers += ["P"] if named else []
+    named = found.verdict != "unexplained" and bool(np.isnan(found.adequate_to))
+    headers = [
+        "effect",
+        *["parameter"] * full,
+        "value",
+        "std",
+        *["fit before %"] * full,
+        "fit %",
+        "p-value",
+    ]
+    headers += ["P"] * named
     rows = []
-    for row in found.ranking[:_SHOWN]:
-        whole = [f"{row.fit_after:.2f}", chance(row.p_value), f"{row.probability:.3f}"][: 2 + named]
+    for row in found.ranking[: None if full else _SHOWN]:
+        whole = [f"{row.fit_before:.2f}"] * full + [f"{row.fit_after:.2f}", chance(row.p_value)]
+        whole += [f"{row.probability:.3f}"] * named
         for name in (row, *row.same):
             for i, (effect, own) in enumerate(name.estimates):
-                first = next(iter(own.values()))
                 sign = "+ " if i else "= " * (name is not row)
-                rows.append([sign + effect.label, *estimate(first.coefficient, first.std), *whole])
-                whole = [""] * len(whole)  # of the row, in its first line only
+                for k, (what, one) in enumerate(own.items() if full else [*own.items()][:1]):
+                    head = ["" if k else sign + effect.label, *[what] * full]
+                    rows.append([*head, *estimate(one.coefficient, one.std), *whole])
+                    whole = [""] * len(whole)  # of the row, in its first line only
+    blank = [""] * (len(headers) - 3)
     if rows and named:
-        rows.append(["none of these", "", "", "", "", f"{found.none_of_these:.3f}"])
+        rows.append(["none of these", *blank, "", f"{found.none_of_these:.3f}"])
     if found.open_law is not None:
-        rows.append([found.open_law.effect.label, "", "", f"{found.open_law.fit_after:.2f}", ""])
-    return above, TextTable(headers, rows, title, [*above[1:], following]), [following]
+        rows.append([found.open_law.effect.label, *blank, f"{found.open_law.fit_after:.2f}", ""])
+    return TextTable(headers, rows)
 
 
-@draws(Diagnosis)
 def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
     """Draw the evidence of a diagnosis.
 
@@ -292,9 +287,9 @@ def _residuals(axes: Any, found: Diagnosis, record: Measurement) -> tuple[list[A
     return in_time, in_frequency
 
 
-@tabulates(HiddenForce)
-def hidden_force_table(found: HiddenForce) -> TextTable:
-    """One row per signal."""
+@content.register
+def hidden_force_content(found: HiddenForce) -> Content:
+    """Return the content of a hidden force: each signal in a row."""
     signals = {
         "displacement d": (found.d, found.position_unit),
         "velocity v": (found.v, found.velocity_unit),
@@ -309,10 +304,14 @@ def hidden_force_table(found: HiddenForce) -> TextTable:
         "distinguished from the offset and is not estimated."
     )
     title = f"Hidden force at {found.place}, {found.force.size} samples"
-    return TextTable(["signal", "rms", "least", "largest", "unit"], rows, title, notes=[note])
+    columns = fields(found, "d v force std")
+    return Content(
+        tables=[TextTable(["signal", "rms", "least", "largest", "unit"], rows, title, [note])],
+        columns=lambda: (columns, found.timepts, "time"),
+        pictures={"plot": plot_hidden_force},
+    )
 
 
-@draws(HiddenForce)
 def plot_hidden_force(found: HiddenForce, frame: Frame) -> ct.ControlPlot:
     """Draw the force over time, displacement and velocity.
 
@@ -331,21 +330,24 @@ def plot_hidden_force(found: HiddenForce, frame: Frame) -> ct.ControlPlot:
         return frame.finish(axes, lines, [over_time], f"Hidden force at {found.place}")
 
 
-@tells(ExperimentAdvice)
-def advice_told(advice: ExperimentAdvice) -> Told:
-    """The advice, and the experiments that were judged."""
-    headers = ["experiment", "cost", "probability", "distance", "reach"]
+@content.register
+def advice_content(advice: ExperimentAdvice) -> Content:
+    """Return the content of an advice: the experiments that were judged."""
     rows = []
     for option in advice.options:
         figures = cells(option, "probability:.2f distance:.3g reach:.2g")
         name = ("> " if option is advice.chosen else "  ") + option.name
         rows.append([name, f"{option.cost:.3g}", *(["-"] * 3 if option.failed else figures)])
-    head = "Experiment: " + (advice.chosen.name if advice.chosen else "nothing to separate")
     message, *rest = advice.sentences()
-    return [head, message], TextTable(headers, rows, head, advice.sentences()), rest
+    return Content(
+        title="Experiment: " + (advice.chosen.name if advice.chosen else "nothing to separate"),
+        above=[message],
+        tables=[TextTable(["experiment", "cost", "probability", "distance", "reach"], rows)],
+        below=rest,
+        pictures={"plot": plot_advice},
+    )
 
 
-@draws(ExperimentAdvice)
 def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
     """Draw the probability that each option separates the candidates.
 
@@ -373,7 +375,6 @@ def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
         ax.set(xlim=(0, 1), xlabel="probability that only the true effect remains")
         heading = "Next experiment (cost in record lengths)" if options else "Nothing to separate"
         ax.set_title(heading if frame.title is None else frame.title)
-        ax.grid(True, axis="x", alpha=0.4)
         lines[0, 0] = [*bars, line]
         legend = None
         if frame.show_legend or (frame.legends and options):
@@ -385,9 +386,9 @@ def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
     return ct.ControlPlot(lines, axes, ax.figure, legend)
 
 
-@tells(Confirmation)
-def confirmation_told(found: Confirmation) -> Told:
-    """The verdict, the records, and what the columns are."""
+@content.register
+def confirmation_content(found: Confirmation) -> Content:
+    """Return the content of a confirmation: the estimates of each record."""
     headers = ["record", "coefficient", "alone", "std", "level", "agreement", "residual"]
     rows = []
     for one in found.estimates:
@@ -397,14 +398,16 @@ def confirmation_told(found: Confirmation) -> Told:
             figures = cells(one, f"coefficients[{i}]:.4g std[{i}]:.2g") if found.names else ["", ""]
             rows.append(["" if i else one.name, name, *figures, *([""] * 3 if i else tail)])
     message, *rest = found.sentences()
-    return (
-        [f"Further records: {found.verdict.upper()}", message],
-        TextTable(headers, rows, f"Further records: {found.verdict}", found.sentences(), left=2),
-        rest,
+    return Content(
+        title="Further records",
+        verdict=found.verdict,
+        above=[message],
+        tables=[TextTable(headers, rows, left=2)],
+        below=rest,
+        pictures={"plot": plot_confirmation},
     )
 
 
-@draws(Confirmation)
 def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlot:
     """Draw the coefficients of each record with 95 % intervals.
 
@@ -433,6 +436,5 @@ def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlo
             axis.set_xticks(places, names)
             axis.set_xlim(-0.5, len(names) - 0.5)
             axis.set_ylabel(unit_text(confirmation.names[i], confirmation.units[i]))
-            axis.grid(True, axis="y", alpha=0.4)
         legends = [axes[0, 0]] if frame.label is not None or frame.show_legend else []
         return frame.finish(axes, lines, legends, f"Each record alone: {confirmation.verdict}")

@@ -14,32 +14,47 @@ from ..comparison.result import Comparison
 from ..exceptions import DataError
 from ..results import chance, counted
 from .bode import BodeUnits
+from .content import Content, content, fields
 from .figures import BAND, MEASURED, Frame, log_labels, plain, style, trace, unit_text
-from .tables import TextTable, cells, clip, tabulates
+from .tables import TextTable, cells, clip
 
-_HEADERS = ["", "", "where", "measure", "share", "p-value"]
 #: Signs of what a row is beside the others.
 ROLES = {"first": "1", "besides": "+", "instead": "="}
 
 
-@tabulates(FailureMap)
-def failure_table(found: FailureMap) -> TextTable:
-    """Return a table with one row per failure.
+@content.register
+def map_content(found: FailureMap) -> Content:
+    """Return the content of a failure map: each failure in a row."""
+    return Content(
+        tables=[failure_table(found)], data=lambda: {**fields(found, "name notes"), "rows": tuple(found)}
+    )
+
+
+def failure_table(found: FailureMap, *, full: bool = False) -> TextTable:
+    """Return a table with one row per failure; in full with all sentences.
 
     If there is no failure, the title and the notes say so.
     """
-    rows = [
-        [ROLES[r.role], *cells(r, "dimension where measure"), f"{100 * r.share:.0f} %", chance(r.p_value)]
-        for r in found.rows
-    ]
+    rows = []
+    for row in found.rows:
+        figures = cells(row, "dimension where measure" + " statistic:.3g" * full)
+        rows.append(
+            [
+                ROLES[row.role],
+                *figures,
+                f"{100 * row.share:{'.3g' if full else '.0f'}} %",
+                chance(row.p_value),
+            ]
+        )
     title = f"Where {found.name!r} fails: {counted(len(rows), 'row')}"
-    notes = [f"{k}. {row.sentence}" for k, row in enumerate(found.rows[:4], 1)]
+    notes = [f"{k}. {row.sentence}" for k, row in enumerate(found.rows[: None if full else 4], 1)]
     if rows:
         notes.append(
             "share: part of the error energy that the row explains (rows overlap). p-value: probability of "
             "such a row by chance if the model were right. 1: best single explanation; +: adds to the rows "
             "above; =: alternative to row 1."
         )
+        notes += ["statistic: twice the increase of the log-likelihood."] * full
     elif found.looked:
         title = f"No failure of {found.name!r} found (searched: {', '.join(found.looked)})"
         notes = [
@@ -49,7 +64,8 @@ def failure_table(found: FailureMap) -> TextTable:
     else:
         title = f"Failures of {found.name!r} were not searched"
     notes += [f"{note}." for note in found.notes]
-    return TextTable(_HEADERS, rows, title, notes, left=4)
+    headers = ["", "", "where", "measure", *["statistic"] * full, "share", "p-value"]
+    return TextTable(headers, rows, title, notes, left=4)
 
 
 _ROWS = (1.6, 1.3, 1.5, 1.5)
@@ -113,7 +129,6 @@ def _times(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[Any
     unit = data.output_units[0] if len(set(data.output_units)) == 1 else ""
     axis.set(xlabel="Time [s]", ylabel=unit_text("Residual", unit))
     axis.margins(x=0.01)
-    axis.grid(True, alpha=0.3)
     if data.n_outputs > 1:
         axis.legend(fontsize="x-small", loc="upper right", ncols=data.n_outputs)
     return list(drawn)
@@ -153,7 +168,6 @@ def _frequencies(axis: Any, result: Comparison, m: int, found: FailureMap) -> li
     top = max(3.0, min(2.0 * float(np.nanmax(ratio)), 100.0))
     axis.set(xscale="log", yscale="log", xlim=(x[0], x[-1]), ylim=(low, top))
     log_labels(axis.xaxis)
-    axis.grid(True, which="major", alpha=0.3)
     return list(drawn)
 
 
@@ -194,5 +208,4 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
     axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)
     axis.set_xlabel(unit_text(f"{name} at {force.place}", unit))
     axis.set_ylabel(unit_text("Missing\nforce", force.force_unit))
-    axis.grid(True, alpha=0.3)
     return list(drawn)

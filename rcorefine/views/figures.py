@@ -5,11 +5,10 @@ Every plot returns a `ControlPlot`.
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import control as ct
 import matplotlib as mpl
@@ -23,14 +22,11 @@ from matplotlib.ticker import LogFormatter
 from numpy.typing import ArrayLike
 
 from ..arguments import as_choice, as_flag, as_mapping, as_text, as_texts, printable, shown
-from ..results import OPTIONS, shows
 from ..systems.linear import Array
 
 MEASURED = "0.15"
 BAND = "0.78"
 _WIDTH = 7.0
-
-_Draw = TypeVar("_Draw", bound=Callable[..., ct.ControlPlot])
 
 
 class Style(NamedTuple):
@@ -147,6 +143,9 @@ class Frame:
             lines = np.empty(shape, dtype=object)
             for place in np.ndindex(shape):
                 lines[place] = []
+                axis: Any = axes[place]
+                axis.grid(True, alpha=0.3)
+                axis.set_axisbelow(True)
             yield axes, lines
 
     def labels(self, defaults: Sequence[str]) -> list[str]:
@@ -186,26 +185,6 @@ class Frame:
         return ct.ControlPlot(lines, axes, figure, legend)
 
 
-def draws(kind: type, what: str = "plot") -> Callable[[_Draw], _Draw]:
-    """Register a plot function for results of a class.
-
-    The function gets the result, the frame, and its own options.
-    """
-
-    def enter(draw: _Draw) -> _Draw:
-        @functools.wraps(draw)
-        def framed(result: Any, *args: Any, **options: Any) -> ct.ControlPlot:
-            shared = {name: options.pop(name) for name in OPTIONS if name in options}
-            drawn = draw(result, Frame(**shared), *args, **options)
-            _spell_out(drawn.figure)
-            return drawn
-
-        shows(kind, what)(framed)
-        return draw
-
-    return enter
-
-
 class _Short(LogFormatter):
     """Labels as numbers, where matplotlib would label at all."""
 
@@ -221,7 +200,7 @@ def log_labels(axis: Any) -> None:
     axis.set_minor_formatter(_Short())
 
 
-def _spell_out(figure: Any) -> None:
+def spell_out(figure: Any) -> None:
     """Show texts literally that are not valid mathtext.
 
     Texts with control characters are escaped too. Matplotlib would fail to draw the figure otherwise.

@@ -13,8 +13,9 @@ from ..data.measurement import Measurement
 from ..diagnosis.check_rows import Check, CheckRow
 from ..results import frequency_text
 from .bode import BodeAxes, BodeUnits
-from .figures import MEASURED, Frame, draws, trace, unit_text
-from .tables import TextTable, Told, number, tabulates, tells
+from .content import Content, content, fields
+from .figures import MEASURED, Frame, trace, unit_text
+from .tables import TextTable, number
 
 _HOLD_TEXT = {
     "zoh": "constant between samples",
@@ -23,18 +24,15 @@ _HOLD_TEXT = {
 }
 
 
-@tabulates(Measurement)
-def measurement_table(data: Measurement) -> TextTable:
-    """One row per signal of a record."""
+@content.register
+def measurement_content(data: Measurement) -> Content:
+    """Return the content of a record: each signal in a row."""
     headers = ["signal", "unit", "role", "min", "mean", "max", "std"]
-    rows = []
-    for role, labels, units, signals in (
-        ("input", data.input_labels, data.input_units, data.inputs),
-        ("output", data.output_labels, data.output_units, data.outputs),
-    ):
-        for label, unit, signal in zip(labels, units, signals, strict=True):
-            figures = (signal.min(), signal.mean(), signal.max(), signal.std())
-            rows.append([label, unit, role, *(number(value) for value in figures)])
+    labels, units = data.input_labels + data.output_labels, data.input_units + data.output_units
+    signals, rows = np.vstack([data.inputs, data.outputs]), []
+    for k, (label, unit, signal) in enumerate(zip(labels, units, signals, strict=True)):
+        figures = (signal.min(), signal.mean(), signal.max(), signal.std())
+        rows.append([label, unit, "input" if k < data.n_inputs else "output", *map(number, figures)])
     title = (
         f"Record {data.name!r}: {data.n_samples} samples, dt = {number(data.dt, 6)} s, "
         f"t = {number(data.timepts[0])} ... {number(data.timepts[-1])} s"
@@ -44,10 +42,13 @@ def measurement_table(data: Measurement) -> TextTable:
     if still:
         notes.append(f"Constant over the record, so without visible effect: {', '.join(still)}.")
     notes += [f"{note}." for note in data.notes]
-    return TextTable(headers, rows, title, notes, left=3)
+    return Content(
+        tables=[TextTable(headers, rows, title, notes, left=3)],
+        columns=lambda: (dict(zip(labels, signals, strict=True)), data.timepts, "time"),
+        pictures={"plot": plot_measurement},
+    )
 
 
-@draws(Measurement)
 def plot_measurement(data: Measurement, frame: Frame) -> ct.ControlPlot:
     """Outputs above inputs, one row per signal; see `Measurement.plot`."""
     n_rows = data.n_outputs + data.n_inputs
@@ -65,16 +66,15 @@ def plot_measurement(data: Measurement, frame: Frame) -> ct.ControlPlot:
                 axis, data.timepts, signals[row], drawstyle=steps, linewidth=1.0, label=name, **look
             )
             axis.set_ylabel(unit_text(labels[row], units[row]))
-            axis.grid(True, alpha=0.3)
         axes[-1, 0].set_xlabel("Time [s]")
         axes[0, 0].figure.align_ylabels(axes[:, 0])
         legends = [axes[0, 0]] if frame.show_legend or not fresh or frame.legend_loc else []
         return frame.finish(axes, lines, legends, f"Record {data.name}")
 
 
-@tabulates(FrequencyResponse)
-def frequency_response_table(measured: FrequencyResponse) -> TextTable:
-    """One row per output and input of a measured frequency response."""
+@content.register
+def frequency_response_content(measured: FrequencyResponse) -> Content:
+    """Return the content of a measured response: each channel in a row."""
     units = BodeUnits.from_defaults()
     headers = ["output", "input", "peak |G|", f"at [{units.frequency}]", "coherence > 0.9", "median std/|G|"]
     rows = []
@@ -102,19 +102,31 @@ def frequency_response_table(measured: FrequencyResponse) -> TextTable:
             unit = measured.input_units[0]
             peak = number(low) if low == high else f"{number(low)} ... {number(high)}"
             said += f" Sines of peak {f'{peak} {unit}'.strip()} at the input."
-        return TextTable(headers, rows, title, [said], left=2)
-    notes = [
-        f"H1 from {measured.n_averages:.1f} effective segments of {measured.segment_length} samples, "
-        f"lines {frequency_text(measured.resolution)} apart (narrower peaks are flattened).",
-        "Coherence: share of the output power that the inputs explain linearly. 'coherence > 0.9': share "
-        "of the frequencies with such a coherence. std/|G|: random error of a point.",
-    ]
-    if measured.n_omitted:
-        notes.append(f"{measured.n_omitted} frequencies are left out: an input has no power there.")
-    return TextTable(headers, rows, title, notes, left=2)
+        notes = [said]
+    else:
+        notes = [
+            f"H1 from {measured.n_averages:.1f} effective segments of {measured.segment_length} samples, "
+            f"lines {frequency_text(measured.resolution)} apart (narrower peaks are flattened).",
+            "Coherence: share of the output power that the inputs explain linearly. 'coherence > 0.9': share "
+            "of the frequencies with such a coherence. std/|G|: random error of a point.",
+        ]
+        if measured.n_omitted:
+            notes.append(f"{measured.n_omitted} frequencies are left out: an input has no power there.")
+    names = {"name": measured.name, "inputs": measured.input_labels, "outputs": measured.output_labels}
+    more = "omega coherence std amplitude n_averages dt hold"
+    columns = {
+        f"{output}/{given}": measured.frdata[i, j]
+        for i, output in enumerate(measured.output_labels)
+        for j, given in enumerate(measured.input_labels)
+    }
+    return Content(
+        tables=[TextTable(headers, rows, title, notes, left=2)],
+        data=lambda: {**names, "response": measured.frdata, **fields(measured, more)},
+        columns=lambda: (columns, measured.omega, "omega"),
+        pictures={"plot": plot_frequency_response},
+    )
 
 
-@draws(FrequencyResponse)
 def plot_frequency_response(measured: FrequencyResponse, frame: Frame) -> ct.ControlPlot:
     """Magnitude, phase and coherence; see `FrequencyResponse.plot`."""
     n_y, n_w = measured.response.shape[:2]
@@ -135,13 +147,15 @@ def plot_frequency_response(measured: FrequencyResponse, frame: Frame) -> ct.Con
 _HEADERS = ["", "looked at", "where", "found"]
 
 
-@tells(Check)
-def check_told(found: Check) -> Told:
-    """Return the warnings of a check and the table of all its findings."""
+@content.register
+def check_content(found: Check) -> Content:
+    """Return the content of a check: the warnings, and all its findings."""
     looks = [f"{row.status.upper()}: {row.sentence}" for row in found.looks]
-    head = looks or ["No problem found: the record and the model can be compared."]
-    quiet = [row.sentence for row in found.rows if row.what == "information" and row not in found.looks]
-    return head, TextTable(_HEADERS, _rows(found.rows), "Check", [*head, *quiet], 4), quiet
+    return Content(
+        above=looks or ["No problem found: the record and the model can be compared."],
+        tables=[TextTable(_HEADERS, _rows(found.rows), left=4)],
+        below=[row.sentence for row in found.rows if row.what == "information" and row not in found.looks],
+    )
 
 
 def odd(rows: Sequence[CheckRow]) -> list[TextTable]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from html import escape
 from typing import Any
 
 import control as ct
@@ -12,119 +11,86 @@ from numpy.typing import ArrayLike
 
 from ..arguments import as_choice
 from ..data.measurement import Measurement
-from ..diagnosis.check_rows import warned
-from ..diagnosis.result import Improvement, next_step
+from ..diagnosis.result import Improvement
 from ..effects.effect import Effect
 from ..inference.parameters import EstimatedParameter
 from ..inference.refinement import Refinement
 from ..models.physical_model import PhysicalModel
-from ..results import counted, shows, with_error
+from ..results import counted
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
 from .bode import bode, bode_grid, level_bode
-from .figures import BAND, Frame, draws, plain, style, unit_text, write_at
-from .tables import WIDTH, TextTable, Told, cells, html_table, root_mean_square, tells
+from .content import Content, content, fields
+from .figures import BAND, Frame, plain, style, unit_text, write_at
+from .page import signal_names
+from .tables import TextTable, root_mean_square
 
 _SHOWN = 12  # parameters in the text
 
 
-@shows(PhysicalModel, "text")
-def model_text(model: PhysicalModel) -> str:
-    """Signals, places and nominal parameters in at most 80 columns.
-
-    Parameters
-    ----------
-    model : PhysicalModel
-        Model to describe.
-
-    Returns
-    -------
-    str
-        Lines of text.
-    """
+@content.register
+def physical_content(model: PhysicalModel) -> Content:
+    """Return the content of a physical model: signals, places and parameters."""
     linear = model.linear
     counts = {"state": linear.n_states, "input": linear.n_inputs, "output": linear.n_outputs}
-    size = ", ".join(counted(count, word) for word, count in counts.items())
-    lines = [f"Physical model {linear.name!r}: {size}"]
-    for what, labels, units in (
-        ("inputs", linear.input_labels, model.input_units),
-        ("outputs", linear.output_labels, model.output_units),
-        ("states", linear.state_labels, model.state_units),
-    ):
-        pairs = zip(labels, units, strict=True)
-        lines += _wrap(f"{what:<8}", [f"{label} [{unit}]" if unit else label for label, unit in pairs])
-    lines += _wrap("places  ", [port.name for port in model.ports])
-    shown = model.parameters[:_SHOWN]
-    if shown:
-        width = max(len(item.name) for item in shown)
-        lines.append("parameters of the initial model (an effect at the place adds to the value)")
-        for item in shown:
-            unit = "" if item.unit == "1" else item.unit
-            value = f"{item.value:.6g} {unit}".strip()
-            # the effect in the words of its place, and the kind that `Effect` takes
-            called, label = f"{item.kind} at {item.place}", model.check(Effect(item.kind, item.place)).label
-            called = called if label == called else f"{label} ({item.kind})"
-            lines.append(f"  {item.name:<{width}} = {value:<20} {called}"[:WIDTH])
-        if len(model.parameters) > len(shown):
-            lines.append(f"  ... and {len(model.parameters) - len(shown)} more")
-    return "\n".join(line.rstrip() for line in lines)
+    signals = {
+        "inputs": (linear.input_labels, model.input_units),
+        "outputs": (linear.output_labels, model.output_units),
+        "states": (linear.state_labels, model.state_units),
+    }
+    said = [f"{what}: {signal_names(*names)}" for what, names in signals.items()]
+    rows = []
+    for item in model.parameters[:_SHOWN]:
+        # the effect in the words of its place, and the kind that `Effect` takes
+        called, label = f"{item.kind} at {item.place}", model.check(Effect(item.kind, item.place)).label
+        unit = "" if item.unit == "1" else item.unit
+        told = called if label == called else f"{label} ({item.kind})"
+        rows.append([f"{item.name} = {item.value:.6g} {unit}".rstrip(), told])
+    left = len(model.parameters) - len(rows)
+    notes = ["An effect at the place adds to the value."] if rows else []
+    notes += [f"... and {left} more in `parameters`."] if left else []
+    places = [[port.name, port.description] for port in model.ports]
+    others = [f"... and {', '.join(name for name, _ in places[_SHOWN:])}"] if places[_SHOWN:] else []
+    names = "input_units output_units state_units parameters ports"
+    return Content(
+        title=f"Physical model {linear.name!r}: " + ", ".join(counted(n, word) for word, n in counts.items()),
+        above=said,
+        tables=[
+            TextTable(["place", "what it is"], places[:_SHOWN], notes=others, left=2),
+            TextTable(["parameter of the initial model", "effect"], rows, notes=notes, left=2),
+        ],
+        data=lambda: {"name": model.name, "system": system_dict(linear), **fields(model, names)},
+    )
 
 
-@shows(PhysicalModel, "html")
-def model_html(model: PhysicalModel) -> str:
-    """Places and nominal parameters for a notebook.
-
-    Parameters
-    ----------
-    model : PhysicalModel
-        Model to describe.
-
-    Returns
-    -------
-    str
-        HTML, escaped.
-    """
-    rows = [cells(item, "name value:.6g unit kind place") for item in model.parameters]
-    ports = "".join(f"<li>{escape(str(port))}</li>" for port in model.ports)
-    head = f"<p><b>Physical model {escape(repr(model.name))}</b></p><p>Places:</p><ul>{ports}</ul>"
-    return head + html_table(["parameter", "value", "unit", "kind", "place"], rows)
+def system_dict(model: LinearModel) -> dict[str, Any]:
+    """Return matrices and labels of a linear model, by name."""
+    labels = {"inputs": model.input_labels, "outputs": model.output_labels, "states": model.state_labels}
+    return {**{key: getattr(model, key) for key in "ABCD"}, **labels}
 
 
-def _wrap(head: str, items: Sequence[str]) -> list[str]:
-    """Comma-separated items in lines of at most 80 columns."""
-    lines, line = [], head
-    for index, item in enumerate(items):
-        piece = item + ("," if index + 1 < len(items) else "")
-        if len(line) + 1 + len(piece) > WIDTH and line.strip():
-            lines.append(line)
-            line = " " * len(head)
-        line += " " + piece
-    return [*lines, line]
+def estimates_table(
+    parameters: Sequence[EstimatedParameter], title: str | None = None, *, full: bool = False
+) -> TextTable:
+    """Estimated parameters; in full with their roles and intervals."""
+    known = any(row.is_known for row in parameters)
+    headers = ["parameter", "effect", "place", *["role"] * full, "initial", *["prior"] * known]
+    rows = []
+    for row in parameters:
+        *head, initial, value, std, unit = row.cells
+        prior = f"{row.prior:.3g}" if row.is_known else ""
+        interval = " ... ".join(f"{end:.5g}" for end in row.interval)
+        head += [*[row.role] * full, initial, *[prior] * known, value, std]
+        rows.append([*head, *[interval] * full, unit])
+    notes = ["std: standard deviation of the estimate over repeated records."] * full
+    return TextTable(
+        [*headers, "value", "std", *["95 % interval"] * full, "unit"], rows, title, notes, 1 + 3 * full
+    )
 
 
 _DRAWN = 100  # models whose spread is the band of a Bode plot
 
 
-@tells(Refinement)
-def refinement_told(found: Refinement) -> Told:
-    """The parameters, and what the figures mean."""
-    name, said = found.physical_model.linear.name, found.sentences()
-    return [f"Refinement of {name!r}"], estimates_table(found.parameters, f"Refinement of {name}", said), said
-
-
-def estimates_table(parameters: Sequence[EstimatedParameter], title: str, notes: Sequence[str]) -> TextTable:
-    """Estimated numbers, initial and fitted, with the priors that count."""
-    headers, rows = ["parameter", "effect", "place", "initial", "value", "std", "unit"], []
-    known = any(row.is_known for row in parameters)
-    if known:
-        headers.insert(4, "prior")
-    for row in parameters:
-        prior = f"{row.prior:.3g}" if row.is_known else ""
-        rows.append([*row.cells[:4], *([prior] if known else []), *row.cells[4:]])
-    return TextTable(headers, rows, title, notes)
-
-
-@draws(Refinement, "bode_plot")
 def plot_bode(
     found: Refinement,
     frame: Frame,
@@ -152,7 +118,6 @@ def plot_bode(
     return bode(systems, measured, omega, frame, deviation)
 
 
-@draws(Refinement, "response_plot")
 def plot_response(
     found: Refinement, frame: Frame, kind: str = "step", *, count: int = 200, seed: int = 0
 ) -> ct.ControlPlot:
@@ -228,24 +193,6 @@ def _nyquist(axes: Any, lines: Any, systems: Any, names: Sequence[str], drawn: A
         ax.set(xlabel="real part", ylabel="imaginary part")
 
 
-@tells(Improvement)
-def improvement_told(found: Improvement) -> Told:
-    """The steps, and what they mean."""
-    headers = ["step", "coefficient", "fitted", "selection", "held out"]
-    rows = []
-    for i, step in enumerate(found.steps):
-        value = next((with_error(v, step.std[name]) for name, v in step.coefficients.items()), "")
-        errors = (step.train_rmse, step.choice_rmse, step.validation_rmse)
-        rows.append([f"{i} {step.name}", value, *(f"{root_mean_square(e):.4g}" for e in errors)])
-    odd = warned(found.checks, found.verdict in ("adequate", "parameters"), [e.place for e in found.effects])
-    said = found.sentences()
-    above = [f"Improvement in {counted(len(found.steps) - 1, 'step')}: {found.verdict.upper()}", *odd]
-    following = f"Next: {next_step(found)}"
-    table = TextTable(headers, rows, f"Improvement: {found.verdict}", [*odd, *said, following])
-    return above, table, [*said, following]
-
-
-@draws(Improvement)
 def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
     """Draw the error after each step on the three parts of the record.
 
@@ -280,7 +227,38 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
         ax.set_ylabel(unit_text("RMS error", unit))
         after = f"{improvement.verdict} after {counted(len(steps) - 1, 'step')}"
         ax.set_title(frame.title or f"Error after each step: {after}")
-        ax.grid(True, axis="y", alpha=0.4)
         place = frame.legend_loc if isinstance(frame.legend_loc, str) else "upper right"
         legend = ax.legend(loc=place) if frame.legends else None
     return ct.ControlPlot(lines, axes, ax.figure, legend)
+
+
+def estimates(refinement: Refinement) -> list[EstimatedParameter]:
+    """Return the estimated parameters without nuisance offsets.
+
+    An offset has no scale on which to draw it.
+    """
+    return [row for row in refinement.parameters if row.role != "offset" and np.isfinite(row.std)]
+
+
+def parameter_plot(refinement: Refinement) -> ct.ControlPlot:
+    """Estimates with intervals, one row each, relative to the initial model."""
+    rows = estimates(refinement)
+    frame = Frame()
+    with frame.axes([max(1.0, 0.3 * len(rows))], 1) as (axes, lines):
+        axis = axes[0, 0]
+        names = []
+        for i, row in enumerate(rows):
+            size = abs(row.initial) or abs(row.value) or 1.0
+            start, value, spread = row.initial / size, row.value / size, 1.96 * row.std / size
+            axis.errorbar(value, i, xerr=min(spread, 1e3), fmt="o", color="#1f4e9c", capsize=3, markersize=4)
+            axis.plot(start, i, marker="|", markersize=14, color="0.15")
+            axis.annotate(
+                f"{row.value:.4g} {row.unit}", (value, i), xytext=(0, 6), textcoords="offset points",
+                ha="center", fontsize="x-small",
+            )  # fmt: skip
+            names.append(plain(row.name if row.name != row.kind else f"{row.kind} {row.place}"))
+        axis.margins(x=0.08)
+        axis.set_yticks(range(len(rows)), names)
+        axis.set(ylim=(len(rows) - 0.4, -0.6), xlabel="Estimate over initial value")
+        lines[0, 0] = list(axis.lines)
+        return frame.finish(axes, lines, [])

@@ -11,13 +11,13 @@ import hashlib
 import io
 import platform
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO
 from urllib.parse import quote
 
 import control as ct
@@ -31,15 +31,11 @@ from ..arguments import as_flag, as_path, as_text
 from ..data.frequency_response import FrequencyResponse
 from ..data.response_record import in_frequency
 from ..exceptions import DataError
-from ..inference.parameters import EstimatedParameter
-from ..inference.refinement import Refinement
 from ..jit import NUMBA
-from ..results import shows
 from ..systems.linear import Array
 from ..version import __version__
 from ..writing import replacing
-from .figures import Frame, plain
-from .tables import TextTable, cells, html_table, number
+from .tables import TextTable, number
 
 #: Pictures are drawn dark on white. In the dark they are inverted and their hues turned back, so that
 #: one picture serves both and curves keep their color.
@@ -127,10 +123,8 @@ _GENERATOR = '<meta name="generator" content="rcorefine'
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
-_Make = TypeVar("_Make", bound="Callable[..., Page]")
-
-#: Kind of a picture, how to draw it, what is to be seen, what it means.
-Wanted = tuple[str, Callable[[], ct.ControlPlot], str, str]
+#: Name of a picture, what draws it, what it shows.
+Picture = tuple[str, Callable[[], ct.ControlPlot], str]
 
 
 def paragraphs(texts: Iterable[str]) -> str:
@@ -157,14 +151,16 @@ def links(rows: Iterable[tuple[str, str]]) -> str:
     return f"<ul>{''.join(items)}</ul>"
 
 
-def boxed(*tables: TextTable) -> list[str]:
-    """Tables that have rows, in boxes that scroll in narrow windows."""
+def boxed(tables: Iterable[TextTable | Sequence[str]]) -> list[str]:
+    """Tables that have rows, in boxes that scroll, and sentences between them."""
     return [
         f'<div class="scroll" role="region" tabindex="0" aria-label="{escape(table.title or "Table")}">'
-        f"{html_table(table.headers, table.rows, title=table.title, left=table.left)}</div>"
+        f"{replace(table, notes=()).html()}</div>"
         f'<div class="notes">{paragraphs(table.notes)}</div>'
+        if isinstance(table, TextTable)
+        else paragraphs(table)
         for table in tables
-        if table.rows
+        if not isinstance(table, TextTable) or table.rows
     ]
 
 
@@ -182,15 +178,27 @@ class Page:
         The answer, three sentences.
     fine : bool
         Whether nothing was found (colors the answer).
-    sections : dict
-        Pictures, tables, code, origin: pieces of HTML by heading.
+    pictures : sequence of Picture
+        Pictures; if the record does not allow one, the reason takes its place.
+    tables : sequence of TextTable or of sentences
+        Tables, and sentences between them.
+    more : dict
+        More sections: pieces of HTML by heading.
+    code : str
+        Code that makes the result again.
+    records : sequence of Measurement, or of FrequencyResponse
+        What the result rests on.
     """
 
     title: str
     about: str
     answer: Sequence[str]
     fine: bool
-    sections: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    pictures: Sequence[Picture] = ()
+    tables: Sequence[TextTable | Sequence[str]] = ()
+    more: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    code: str = ""
+    records: Sequence[Any] = ()
 
     def html(self) -> str:
         """The whole document.
@@ -202,7 +210,7 @@ class Page:
         """
         body = "".join(
             f"<section><h2>{escape(heading)}</h2>{''.join(parts)}</section>"
-            for heading, parts in self.sections.items()
+            for heading, parts in self._sections().items()
             if parts
         )
         when = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
@@ -220,6 +228,24 @@ class Page:
             "This file holds everything it shows and asks the network for nothing.</footer>\n"
             "</main>\n</body>\n</html>\n"
         )
+
+    def _sections(self) -> dict[str, Sequence[str]]:
+        """Return the sections below the answer, by heading."""
+        how = (
+            "Save the record as an .npz file (or read your own), give its name below, and run it with Python."
+        )
+        how = how if "record.npz" in self.code else "Run it with Python."
+        origin = [facts(version_facts())]
+        if self.records:
+            known = "The fingerprints are those of the arrays as little-endian float64, signal by signal."
+            origin = [facts(record_facts(self.records)), paragraphs([known]), *origin]
+        return {
+            "Pictures": [_drawn(*wanted) for wanted in self.pictures],
+            "Tables": boxed(self.tables),
+            **self.more,
+            "Code to reproduce this result": [paragraphs([how]), listing(self.code)] if self.code else [],
+            "Record and versions" if self.records else "Versions": origin,
+        }
 
 
 def write_page(page: Page, path: str | PathLike[str], *, overwrite: bool = False) -> Path:
@@ -307,88 +333,18 @@ def check_target(
     return target
 
 
-def reports(kind: type) -> Callable[[_Make], _Make]:
-    """Register the function that builds the report of a result class.
-
-    The report is written only if the file may be written.
-    """
-
-    def enter(make: _Make) -> _Make:
-        def report(
-            result: Any, path: Any, *, title: str | None, code: str | None, overwrite: bool, **more: Any
-        ) -> Path:
-            target = check_target(path, title=title, code=code, overwrite=overwrite)
-            return write_page(make(result, title=title, code=code, **more), target, overwrite=overwrite)
-
-        shows(kind, "report")(report)
-        return make
-
-    return enter
-
-
-def report_page(
-    heading: str,
-    about: str,
-    answer: tuple[list[str], bool],
-    *,
-    drawn: Sequence[Wanted],
-    tables: list[str],
-    code: tuple[str, str | None],
-    records: Sequence[Any],
-) -> Page:
-    """Return the page that a result on one or several records has.
-
-    Parameters
-    ----------
-    heading, about : str
-        Heading, and what was looked at.
-    answer : tuple
-        Sentences, and whether nothing was found.
-    drawn : sequence of Wanted
-        Pictures.
-    tables : list of str
-        Tables and sentences as HTML.
-    code : tuple
-        Code that makes the result again, and what the user gave.
-    records : sequence of Measurement, or of FrequencyResponse
-        What the result rests on.
-    """
-    generated, given = code
-    how = "Save the record as an .npz file (or read your own), give its name below, and run it with Python."
-    known = "The fingerprints are those of the arrays as little-endian float64, signal by signal."
-    sections = {
-        "Pictures": pictures(drawn),
-        "Tables": tables,
-        "Code to reproduce this result": [
-            paragraphs([how if "record.npz" in generated else "Run it with Python."]),
-            listing(generated if given is None else f"{given.rstrip()}\n\n{generated}"),
-        ],
-        "Record and versions": [
-            *([facts(record_facts(records)), paragraphs([known])] if records else []),
-            facts(version_facts()),
-        ],
-    }
-    return Page(heading, about, *answer, sections)
-
-
 # ------------------------------------------------------------------ pictures, for wide and for narrow windows
 _DPI = 150
 _NARROW = 4.3  # inch: at 380 pixels letters of 10 pt are then 12 pixels high
 _SWITCH = 640  # pixels of the window below which the narrow picture is shown
 
 
-def pictures(wanted: Iterable[Wanted]) -> list[str]:
-    """Return the pictures of a report as HTML.
-
-    If the record does not allow a picture, the reason takes its place.
-    """
-    parts = []
-    for kind, plot, alt, caption in wanted:
-        try:
-            parts.append(draw(plot, alt, caption))
-        except DataError as error:
-            parts.append(paragraphs([f"No picture {kind!r}: {error}."]))
-    return parts
+def _drawn(name: str, plot: Callable[[], ct.ControlPlot], caption: str) -> str:
+    """Return a picture as HTML, or why the record does not allow it."""
+    try:
+        return draw(plot, caption, caption)
+    except DataError as error:
+        return paragraphs([f"No picture {name!r}: {error}."])
 
 
 def draw(plot: Callable[[], ct.ControlPlot], alt: str, caption: str) -> str:
@@ -544,8 +500,8 @@ def record_facts(records: Sequence[Any]) -> list[tuple[str, str]]:
             ("record", data.name),
             ("samples", f"{data.n_samples}, {number(data.dt, 6)} s apart, hold {data.hold!r}"),
             ("time", f"{number(data.timepts[0], 6)} to {number(data.timepts[-1], 6)} s"),
-            ("inputs", _signals(data.input_labels, data.input_units)),
-            ("outputs", _signals(data.output_labels, data.output_units)),
+            ("inputs", signal_names(data.input_labels, data.input_units)),
+            ("outputs", signal_names(data.output_labels, data.output_units)),
             ("sha256 of the inputs", fingerprint(data.inputs)),
             ("sha256 of the outputs", fingerprint(data.outputs)),
         )
@@ -558,14 +514,15 @@ def response_facts(measured: FrequencyResponse) -> list[tuple[str, str]]:
     return [
         ("response", measured.name),
         ("frequencies", f"{omega.size}, {number(omega[0])} to {number(omega[-1])} rad/s"),
-        ("inputs", _signals(measured.input_labels, measured.input_units)),
-        ("outputs", _signals(measured.output_labels, measured.output_units)),
+        ("inputs", signal_names(measured.input_labels, measured.input_units)),
+        ("outputs", signal_names(measured.output_labels, measured.output_units)),
         ("sha256 of the frequencies", fingerprint(measured.omega)),
         ("sha256 of the response", f"{fingerprint(parts)} (real parts, then imaginary parts)"),
     ]
 
 
-def _signals(labels: Sequence[str], units: Sequence[str]) -> str:
+def signal_names(labels: Sequence[str], units: Sequence[str]) -> str:
+    """Labels with their units, in one text."""
     return ", ".join(
         f"{label} [{unit}]" if unit else label for label, unit in zip(labels, units, strict=True)
     )
@@ -588,49 +545,3 @@ def version_facts() -> list[tuple[str, str]]:
         except PackageNotFoundError:
             rows.append((package, "version unknown"))
     return rows
-
-
-def parameter_table(refinement: Refinement, title: str) -> TextTable:
-    """Estimates of a refinement, with intervals."""
-    columns = "name kind place role initial:.5g value:.6g std:.2g interval[0]:.5g interval[1]:.5g unit"
-    rows = []
-    for row in refinement.parameters:
-        *head, low, high, unit = cells(row, columns)
-        rows.append([*head, f"{low} ... {high}", unit])
-    headers = ["parameter", "effect", "place", "role", "initial", "value", "std", "95 % interval", "unit"]
-    return TextTable(
-        headers, rows, title, ["std: standard deviation of the estimate over repeated records."], 4
-    )
-
-
-def estimates(refinement: Refinement) -> list[EstimatedParameter]:
-    """Return the estimated parameters without nuisance offsets.
-
-    An offset has no scale on which to draw it.
-    """
-    return [row for row in refinement.parameters if row.role != "offset" and np.isfinite(row.std)]
-
-
-def parameter_plot(refinement: Refinement) -> ct.ControlPlot:
-    """Estimates with intervals, one row each, relative to the initial model."""
-    rows = estimates(refinement)
-    frame = Frame()
-    with frame.axes([max(1.0, 0.3 * len(rows))], 1) as (axes, lines):
-        axis = axes[0, 0]
-        names = []
-        for i, row in enumerate(rows):
-            size = abs(row.initial) or abs(row.value) or 1.0
-            start, value, spread = row.initial / size, row.value / size, 1.96 * row.std / size
-            axis.errorbar(value, i, xerr=min(spread, 1e3), fmt="o", color="#1f4e9c", capsize=3, markersize=4)
-            axis.plot(start, i, marker="|", markersize=14, color="0.15")
-            axis.annotate(
-                f"{row.value:.4g} {row.unit}", (value, i), xytext=(0, 6), textcoords="offset points",
-                ha="center", fontsize="x-small",
-            )  # fmt: skip
-            names.append(plain(row.name if row.name != row.kind else f"{row.kind} {row.place}"))
-        axis.margins(x=0.08)
-        axis.set_yticks(range(len(rows)), names)
-        axis.set(ylim=(len(rows) - 0.4, -0.6), xlabel="Estimate over initial value")
-        axis.grid(True, axis="x", alpha=0.3)
-        lines[0, 0] = list(axis.lines)
-        return frame.finish(axes, lines, [])

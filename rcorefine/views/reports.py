@@ -1,4 +1,4 @@
-"""Reports of results, and the three sentences that each opens with."""
+"""Contents of results that write a report, with their answers and pages."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from ..comparison.result import Comparison, best_of, failures_of
 from ..data.measurement import Measurement
 from ..data.records import stretches_by_level
 from ..data.response_record import in_frequency
+from ..diagnosis.check_rows import warned
 from ..diagnosis.diagnose import diagnose
-from ..diagnosis.result import Diagnosis, Improvement
+from ..diagnosis.result import Diagnosis, Improvement, next_step
 from ..diagnosis.words import no_test_fires, numbers_that_moved
 from ..engine.simulation import simulated
 from ..inference.parameters import EstimatedParameter
@@ -34,101 +35,88 @@ from .code import (
     response_code,
     script,
 )
-from .comparison import comparison_table
-from .failure_map import ROLES
+from .comparison import comparison_table, plot_comparison
+from .content import Content, content, fields
+from .diagnosis import plot_diagnosis, ranking_table
+from .failure_map import failure_table
 from .measurement import odd
-from .page import (
-    Page,
-    Wanted,
-    boxed,
+from .models import (
     estimates,
-    paragraphs,
+    estimates_table,
     parameter_plot,
-    parameter_table,
-    report_page,
-    reports,
+    plot_bode,
+    plot_response,
+    plot_staircase,
+    system_dict,
 )
-from .responses import responses_table
+from .page import Page, Picture
+from .responses import plot_responses, responses_table
 from .tables import TextTable, cells, number, root_mean_square
 
-#: What each picture of a comparison shows, and what it means; the one that answers first.
+#: Pictures of a comparison, and what each shows; the one that answers comes first.
 _WORDS = {
-    "map": (
-        "Failure map of {record}: where over time, frequency, amplitude, state and place the model fails.",
-        "Where the model fails: significant failures over time, frequency, amplitude, state and place.",
-    ),
-    "time": (
-        "Measured and simulated outputs of {record} over time; {fits}. Residuals in the lower row.",
-        "The record (broad, pale) and the simulation of each model, with the fit in the legend; below, the "
-        "residuals.",
-    ),
-    "bode": (
-        "Bode diagram of the models and the measured frequency response of {record}.",
-        "Frequency responses, sampled like the record; dots and band: measured, with two standard "
-        "deviations. Bottom row: relative error, and the error that noise alone would cause.",
-    ),
-    "residual": (
-        "Residuals of {record}: correlation with themselves and with the inputs.",
-        "Correlation of the residuals with themselves and with the inputs, and the bounds for no "
-        "correlation.",
-    ),
-    "horizon": (
-        "Error against the length of the prediction for {record}.",
-        "Error against the prediction horizon, from one step to the simulation over the whole record.",
-    ),
+    "map": "Where the model fails: significant failures over time, frequency, amplitude, state and place.",
+    "time": "The record (broad, pale) and the simulation of each model, with the fit in the legend; below, "
+    "the residuals.",
+    "bode": "Frequency responses, sampled like the record; dots and band: measured, with two standard "
+    "deviations. Bottom row: relative error, and the error that noise alone would cause.",
+    "residual": "Correlation of the residuals with themselves and with the inputs, and the bounds for no "
+    "correlation.",
+    "horizon": "Error against the prediction horizon, from one step to the simulation over the whole record.",
 }
 
 
-@reports(Comparison)
-def report_comparison(result: Comparison, *, title: str | None, code: str | None) -> Page:
-    """The report of a comparison; see `Comparison.report`."""
+# ------------------------------------------------------------------ comparisons
+@content.register
+def comparison_content(result: Comparison) -> Content:
+    """Return the content of a comparison: fits, and where the models fail."""
+    return Content(
+        tables=[comparison_table(result)],
+        answer=partial(_comparison_answer, result),
+        data=lambda: {"models": _models(result)},
+        columns=lambda: (_fits(result),),
+        pictures={"plot": plot_comparison},
+        page=_comparison_page,
+    )
+
+
+def _models(result: Comparison) -> list[dict[str, Any]]:
+    """Return each model with its outputs and failures."""
+    models = []
+    for index, name in enumerate(result.names):
+        bias = (result.data.outputs - result.runs[index]).mean(axis=1)
+        one = result.select(index)
+        keys = ("name", "unit", "fit", "rmse", "bias")
+        rows = zip(result.data.output_labels, result.data.output_units, one.fit, one.rmse, bias, strict=True)
+        outputs = [dict(zip(keys, row, strict=True)) for row in rows]
+        models.append({"name": name, "outputs": outputs, "failures": tuple(failures_of(result, index))})
+    return models
+
+
+def _fits(result: Comparison) -> list[dict[str, Any]]:
+    """Return the figures of each model and output."""
+    rows = [(model["name"], row) for model in _models(result) for row in model["outputs"]]
+    return [{"model": name, "output": row.pop("name"), **row} for name, row in rows]
+
+
+def _comparison_page(result: Comparison) -> Page:
     data = result.data
-    return report_page(
-        title or f"{' and '.join(result.names[:3])}: comparison with {data.name}",
+    return Page(
+        f"{' and '.join(result.names[:3])}: comparison with {data.name}",
         f"{len(result.names)} model(s), {data.n_samples} samples, {number(data.duration)} s",
-        comparison_answer(result),
-        drawn=[_comparison_picture(result, kind) for kind in _WORDS],
+        *_comparison_answer(result),
+        pictures=[(kind, partial(result.plot, kind, title=""), words) for kind, words in _WORDS.items()],
         tables=_comparison_tables(result),
-        code=(_comparison_code(result), code),
+        code=_comparison_code(result),
         records=[data],
     )
 
 
-def _comparison_picture(result: Comparison, kind: str) -> Wanted:
-    rows = zip(result.names, np.atleast_2d(result.fit), strict=True)
-    fits = "; ".join(f"{name} fits {' / '.join(f'{v:.4g} %' for v in row)}" for name, row in rows)
-    shown, meant = _WORDS[kind]
-    shown = shown.format(record=f"record {result.data.name}", fits=fits)
-    return kind, partial(result.plot, kind, title=""), shown, meant
-
-
-def _comparison_tables(result: Comparison) -> list[str]:
-    """Failures, where there are any, and the table of fits."""
-    headers = ["", "dimension", "where", "in words", "statistic", "p-value", "share of the error"]
-    legend = (
-        "1: best single explanation; +: adds to the rows above; =: alternative to row 1.",
-        "statistic: twice the increase of the log-likelihood. p-value: probability of such a row by chance "
-        "if the model were right. share: part of the error energy that the row explains (rows overlap).",
-    )
-    parts: list[str] = []
-    for index in range(len(result.names)):
-        found = failures_of(result, index)
-        notes = [f"{note}." for note in found.notes]
-        rows = [
-            [
-                ROLES[r.role],
-                *cells(r, "dimension where sentence statistic:.3g"),
-                chance(r.p_value),
-                f"{100 * r.share:.3g} %",
-            ]
-            for r in found
-        ]
-        if rows:
-            parts += boxed(TextTable(headers, rows, f"Where {found.name} fails", [*legend, *notes], left=4))
-        else:
-            nowhere = f"Where {found.name} fails: no significant failure in this record."
-            parts.append(paragraphs([nowhere, *notes]))
-    return [*parts, *boxed(comparison_table(result))]
+def _comparison_tables(result: Comparison) -> list[TextTable | Sequence[str]]:
+    """Failures of each model, or a sentence, and the table of fits."""
+    maps = [failure_table(failures_of(result, index), full=True) for index in range(len(result.names))]
+    nowhere = [found if found.rows else (str(found.title), *found.notes) for found in maps]
+    return [*nowhere, comparison_table(result)]
 
 
 def _comparison_code(result: Comparison) -> str:
@@ -163,76 +151,79 @@ def _reproduces(model: LinearModel, result: Comparison, index: int) -> bool:
     return bool(np.abs(run - result.runs[index]).max() < 1e-6 * scale)
 
 
-@reports(FrequencyComparison)
-def report_responses(result: FrequencyComparison, *, title: str | None, code: str | None) -> Page:
-    """Build the report of a comparison with a measured response.
+@content.register
+def responses_content(result: FrequencyComparison) -> Content:
+    """Return the content of a comparison with a measured response."""
+    return Content(
+        tables=[responses_table(result)],
+        answer=partial(_response_answer, result),
+        pictures={"plot": plot_responses},
+        page=_response_page,
+    )
 
-    See `FrequencyComparison.report`.
-    """
+
+def _response_page(result: FrequencyComparison) -> Page:
     measured = result.measured
     blocks, models = _models_code(result.models, result.several)
     call = [f"result = rco.compare({models}, measured)", "print(result)", "result.plot()"]
-    drawn = (
-        "bode",
-        partial(result.plot, title=""),
-        f"Bode diagram of {', '.join(result.names)} and the measured response {measured.name}.",
-        "Dots: measured response. Lines: the models. Bottom row: relative error.",
-    )
-    return report_page(
-        title or f"{' and '.join(result.names[:3])}: comparison with {measured.name}",
+    said = "Dots: measured response. Lines: the models. Bottom row: relative error."
+    return Page(
+        f"{' and '.join(result.names[:3])}: comparison with {measured.name}",
         f"{len(result.names)} model(s), {measured.omega.size} frequencies",
-        response_answer(result),
-        drawn=[drawn],
-        tables=boxed(responses_table(result)),
-        code=(script(*blocks, response_code(measured), call), code),
+        *_response_answer(result),
+        pictures=[("bode", partial(result.plot, title=""), said)],
+        tables=[responses_table(result)],
+        code=script(*blocks, response_code(measured), call),
         records=[measured],
     )
 
 
-@reports(Diagnosis)
-def report_diagnosis(found: Diagnosis, *, title: str | None, code: str | None) -> Page:
-    """The report of a diagnosis; see `Diagnosis.report`."""
-    named = found.verdict != "unexplained"
-    shown = ", ".join(
-        f"{row.label} {row.probability:.2f}" if named else row.label for row in found.ranking[:4]
+# ------------------------------------------------------------------ diagnosis
+@content.register
+def diagnosis_content(found: Diagnosis) -> Content:
+    """Return the content of a diagnosis: the verdict, and the ranking."""
+    explained = found.verdict in ("adequate", "parameters", "effect")
+    places = () if found.best is None else tuple(e.place for e in found.best.effects)
+    answer, *more = found.sentences()
+    told = "verdict ranking none_of_these places ambiguous parameters tests winner_tests detectable "
+    return Content(
+        title="Diagnosis",
+        verdict=found.verdict,
+        above=[answer, *warned(found.checks, explained, places), *more],
+        tables=[ranking_table(found) if found.floated is None else estimates_table(found.parameters)],
+        following=next_step(found),
+        answer=partial(_diagnosis_answer, found),
+        data=lambda: {**fields(found, told + "significance notes checks"), "next_step": next_step(found)},
+        pictures={"plot": plot_diagnosis},
+        page=_diagnosis_page,
     )
-    drawn = (
-        "diagnosis",
-        partial(found.plot, title=""),
-        f"Ranking of the candidates ({shown or 'nothing'}), the hidden force against the motion, "
-        "and the residual before and after.",
-        "The candidates, the most probable first; the force that was estimated at the place of the "
-        "best one, with its formula; and the residual with and without it.",
-    )
+
+
+def _diagnosis_page(found: Diagnosis) -> Page:
     name = found.base.physical_model.linear.name
     every: list[Any] = list(found.records)
     samples = sum(r.omega.size if in_frequency(r) else r.n_samples for r in every)
     responses = found.base.of_responses
     given = counted(len(every), "response" if responses else "record")
-    return report_page(
-        title or f"Diagnosis of {name}: {found.verdict}",
+    said = (
+        "The candidates, the most probable first; the force that was estimated at the place of the "
+        "best one, with its formula; and the residual with and without it."
+    )
+    return Page(
+        f"Diagnosis of {name}: {found.verdict}",
         f"model {name}, {given}, {samples} {'frequencies' if responses else 'samples'}",
-        diagnosis_answer(found),
-        drawn=[drawn],
+        *_diagnosis_answer(found),
+        pictures=[("diagnosis", partial(found.plot, title=""), said)],
         tables=_diagnosis_tables(found),
-        code=(_diagnosis_code(found), code),
+        code=_diagnosis_code(found),
         records=found.records,
     )
 
 
-def _diagnosis_tables(found: Diagnosis) -> list[str]:
+def _diagnosis_tables(found: Diagnosis) -> list[TextTable | Sequence[str]]:
     tests = (("model as given", found.tests), ("with the best effect", found.winner_tests))
-    headers = ["effect", "coefficient", "value", "std", "fit before [%]", "fit after [%]", "p-value"]
-    ranking = TextTable(
-        [*headers, "probability"],
-        _ranking_rows(found),
-        title="Candidates that were refitted",
-        notes=[
-            "p-value: probability of such a score if nothing were missing. probability: of each "
-            "candidate among all and none of them; not given if no candidate passes its own tests. "
-            "std: one standard deviation of the coefficient.",
-        ],
-        left=2,
+    ranking = replace(
+        ranking_table(found, full=True), title="Candidates that were refitted", notes=[found.legend], left=2
     )
     detectable = TextTable(
         ["effect", "smallest coefficient", "unit"],
@@ -254,30 +245,12 @@ def _diagnosis_tables(found: Diagnosis) -> list[str]:
         ],
         left=2,
     )
-    free = [] if found.floated is None else [parameter_table(found.floated, "All parameters re-estimated")]
-    return [
-        *boxed(*odd(found.checks), ranking if found.ranking else detectable, tested),
-        *boxed(parameter_table(found.base, "The model as given, with its free parameters fitted"), *free),
-        paragraphs(found.notes),
-    ]
-
-
-def _ranking_rows(found: Diagnosis) -> list[list[str]]:
-    rows = []
-    for row in found.ranking:
-        tail = [number(row.fit_before), number(row.fit_after), chance(row.p_value)]
-        tail.append(number(row.probability, 3))
-        for k, (effect, own) in enumerate(row.estimates):
-            for i, (name, one) in enumerate(own.items()):
-                head = "" if i else "+ " * (k > 0) + effect.label
-                rest = [""] * 4 if k or i else tail
-                rows.append([head, name, *cells(one, "coefficient:.5g std:.2g"), *rest])
-    if found.verdict != "unexplained":
-        rows.append(["none of these", *[""] * 6, number(found.none_of_these, 3)])
-    if found.open_law is not None:
-        before, after = found.ranking[0].fit_before, found.open_law.fit_after
-        rows.append([found.open_law.effect.label, *[""] * 3, number(before), number(after), "", ""])
-    return rows
+    estimated = {"The model as given, with its free parameters fitted": found.base}
+    if found.floated is not None:
+        estimated["All parameters re-estimated"] = found.floated
+    tables = [estimates_table(model.parameters, name, full=True) for name, model in estimated.items()]
+    shown = ranking if found.ranking else detectable
+    return [*odd(found.checks), shown, tested, *tables, found.notes]
 
 
 def _diagnosis_code(found: Diagnosis) -> str:
@@ -299,168 +272,167 @@ def _diagnosis_code(found: Diagnosis) -> str:
     return script(start, record_code(found.records), [call, "print(found)", "found.plot()"])
 
 
-@reports(Improvement)
-def report_improvement(improvement: Improvement, *, data: Any, title: str | None, code: str | None) -> Page:
-    """The report of an improvement; see `Improvement.report`."""
-    last = improvement.refinement
-    errors = ", ".join(f"{root_mean_square(s.validation_rmse):.3g}" for s in improvement.steps)
-    staircase = (
-        "staircase",
-        partial(improvement.plot, title=" "),
-        f"Staircase of the root mean square error after each step; held out: {errors}.",
-        "Simulation error after each step on three parts of the record: the fitted part, the part for "
-        "selecting the step, and the held-out part. Judge the model by the held-out part.",
+# ------------------------------------------------------------------ refined models
+@content.register
+def improvement_content(found: Improvement) -> Content:
+    """Return the content of an improvement: the steps, and their meaning."""
+    odd = warned(found.checks, found.verdict in ("adequate", "parameters"), [e.place for e in found.effects])
+    told = "verdict message steps checks"
+    return Content(
+        title=f"Improvement in {counted(len(found.steps) - 1, 'step')}",
+        verdict=found.verdict,
+        above=odd,
+        tables=[_steps_table(found)],
+        below=found.sentences(),
+        following=next_step(found),
+        answer=partial(_improvement_answer, found),
+        data=lambda: {**fields(found, told), "next_step": next_step(found), **_model(found.refinement)},
+        pictures={"plot": plot_staircase},
+        page=_improvement_page,
     )
+
+
+def _model(found: Refinement) -> dict[str, Any]:
+    system = system_dict(LinearModel.from_statespace(found.system))
+    return {**fields(found, "parameters hold"), "system": system}
+
+
+def _steps_table(found: Improvement) -> TextTable:
     rows = []
-    for i, step in enumerate(improvement.steps):
-        values = "; ".join(f"{k} {with_error(v, step.std[k])}" for k, v in step.coefficients.items())
-        errors_of = (step.train_rmse, step.choice_rmse, step.validation_rmse)
-        rivals = ", ".join(effect.label for effect in step.rivals)
-        rows.append([str(i), step.name, values, *(f"{root_mean_square(e):.4g}" for e in errors_of), rivals])
-    steps = TextTable(
-        ["step", "what", "coefficients", "fitted", "selection", "held out", "not distinguishable"],
-        rows,
-        title="Root mean square error after each step",
-        notes=["The data cannot distinguish the effects in the last column from the one that was added."],
-        left=3,
+    for i, step in enumerate(found.steps):
+        values = {name: with_error(v, step.std[name]) for name, v in step.coefficients.items()}
+        told = [f"{name} {value}" if len(values) > 1 else value for name, value in values.items()]
+        errors = (step.train_rmse, step.choice_rmse, step.validation_rmse)
+        rows.append([f"{i} {step.name}", "; ".join(told), *(f"{root_mean_square(e):.4g}" for e in errors)])
+    return TextTable(["step", "coefficient", "fitted", "selection", "held out"], rows)
+
+
+def _improvement_page(found: Improvement, data: Any = None) -> Page:
+    last = found.refinement
+    said = (
+        "Simulation error after each step on three parts of the record: the fitted part, the part for "
+        "selecting the step, and the held-out part. Judge the model by the held-out part."
     )
-    parameters = parameter_table(last, "Parameters of the last model")
-    return _report_model(
-        (improvement.steps[0].refinement, last),
-        title or f"Improvement of {last.physical_model.linear.name}: {improvement.verdict}",
-        improvement_answer(improvement),
-        [staircase],
-        [*boxed(*odd(improvement.checks), steps, parameters), paragraphs(improvement.sentences())],
-        data,
-        code,
+    page = Page(
+        f"Improvement of {last.physical_model.linear.name}: {found.verdict}",
+        "",
+        *_improvement_answer(found),
+        pictures=[("staircase", partial(found.plot, title=" "), said)],
+        tables=[
+            *odd(found.checks),
+            replace(_steps_table(found), title="Root mean square error after each step", left=2),
+            estimates_table(last.parameters, "Parameters of the last model", full=True),
+            found.sentences(),
+        ],
+    )
+    return _beside_record(page, (found.steps[0].refinement, last), data)
+
+
+@content.register
+def refinement_content(found: Refinement) -> Content:
+    """Return the content of a refinement: the parameters, and their meaning."""
+    return Content(
+        title=f"Refinement of {found.physical_model.linear.name!r}",
+        tables=[estimates_table(found.parameters)],
+        below=found.sentences(),
+        answer=partial(_refinement_answer, found),
+        data=lambda: {**_model(found), **fields(found, "fit rmse initial_fit success message warnings")},
+        pictures={"bode_plot": plot_bode, "response_plot": plot_response},
+        page=_refinement_page,
     )
 
 
-@reports(Refinement)
-def report_refinement(refinement: Refinement, *, data: Any, title: str | None, code: str | None) -> Page:
-    """The report of a refinement; see `Refinement.report`."""
-    said = paragraphs([refinement.message, *refinement.warnings])
-    return _report_model(
-        (refinement.physical_model, refinement),
-        title or f"Refinement of {refinement.physical_model.linear.name}",
-        refinement_answer(refinement),
-        [],
-        [*boxed(parameter_table(refinement, "Parameters")), said],
-        data,
-        code,
+def _refinement_page(found: Refinement, data: Any = None) -> Page:
+    page = Page(
+        f"Refinement of {found.physical_model.linear.name}",
+        "",
+        *_refinement_answer(found),
+        tables=[estimates_table(found.parameters, "Parameters", full=True), [found.message, *found.warnings]],
     )
+    return _beside_record(page, (found.physical_model, found), data)
 
 
-def _report_model(
-    models: tuple[Any, Refinement],
-    title: str,
-    answer: tuple[list[str], bool],
-    drawn: list[Wanted],
-    tables: list[str],
-    data: Any,
-    code: str | None,
-) -> Page:
-    """Build the report of a refined model beside the initial one.
-
-    If there is a record, the report compares both with it.
-    """
+def _beside_record(page: Page, models: tuple[Any, Refinement], data: Any) -> Page:
+    """Add the initial and the refined model, and a record if there is one."""
     last = models[1]
     linear = last.physical_model.linear
     about = (
         f"model {linear.name}: {counted(linear.n_states, 'state')}, {counted(linear.n_inputs, 'input')}, "
         f"{counted(linear.n_outputs, 'output')}"
     )
+    drawn, tables, records = [*page.pictures], [*page.tables], [] if data is None else [data]
     if data is None:
-        missing = (
-            "The result does not contain the record; report(..., data=...) compares the models with one."
+        tables.append(
+            ["The result does not contain the record; report(..., data=...) compares the models with one."]
         )
-        tables.append(paragraphs([missing]))
         drawn.append(_bode_picture(last, data))
     else:
         beside: Any = replace(compare(list(models), data), names=("initial", "refined"))
         if in_frequency(data):
             said = "Frequency responses of the initial and of the refined model, with the measured points."
-            drawn.append(("response", partial(beside.plot, title=""), said, said))
-            tables += boxed(responses_table(beside))
+            drawn.append(("response", partial(beside.plot, title=""), said))
+            tables.append(responses_table(beside))
             about += f"; compared with response {data.name}, {data.omega.size} frequencies"
         else:
-            drawn += [_comparison_picture(beside, "time"), _bode_picture(last, data)]
+            drawn += [("time", partial(beside.plot, title=""), _WORDS["time"]), _bode_picture(last, data)]
             tables += _comparison_tables(beside)
             about += f"; compared with record {data.name}, {data.n_samples} samples"
-    if rows := estimates(last):
-        intervals = ", ".join(f"{r.name} {with_error(r.value, 1.96 * r.std)}" for r in rows[:12])
-        shown = f"Estimates with their 95 % intervals: {intervals}"
-        meant = (
+    if estimates(last):
+        said = (
             "Estimates with 95 % intervals, in units of the initial value (or of the estimate, where the "
             "initial model has none); the vertical line is the initial model."
         )
-        drawn.append(("parameters", partial(parameter_plot, last), shown, meant))
-    records = [] if data is None else [data]
-    own = script(
+        drawn.append(("parameters", partial(parameter_plot, last), said))
+    code = script(
         ["# the initial model", *model_code(last.physical_model)],
         record_code(records) if records else ["data = ...  # your record"],
         [*refinement_code(last), "print(better)"],
     )
-    return report_page(title, about, answer, drawn=drawn, tables=tables, code=(own, code), records=records)
+    return replace(page, about=about, pictures=drawn, tables=tables, code=code, records=records)
 
 
-def _bode_picture(refinement: Refinement, data: Measurement | None) -> Wanted:
+def _bode_picture(refinement: Refinement, data: Measurement | None) -> Picture:
     """Bode diagram, at the levels of the record where the model is not linear."""
     structure, _, _ = refinement.simulation_structure()
-    beside = "" if data is None else ", with the measured points"
     if structure.is_linear or data is None:
-        return (
-            "bode",
-            partial(refinement.bode_plot, data, title=""),
-            f"Bode diagram: magnitude and phase of the initial and of the refined model{beside}.",
-            "Frequency response of the initial and of the refined model, without "
-            "nonlinear effects." + ("" if data is None else " Dots: measured. Bottom row: relative error."),
-        )
+        said = "Frequency response of the initial and of the refined model, without nonlinear effects."
+        said += "" if data is None else " Dots: measured. Bottom row: relative error."
+        return "bode", partial(refinement.bode_plot, data, title=""), said
     rms = [level for level, _ in stretches_by_level(data)]
     # a sine of the same power as the record, and a weaker one where the record has one level only
     levels = [np.sqrt(2.0) * level for level in ([0.3 * rms[0], *rms] if len(rms) == 1 else rms)]
-    sines = ", ".join(number(level, 3) for level in levels)
     return (
         "bode at several amplitudes",
         partial(refinement.bode_plot, data, levels=levels, title=""),
-        f"Bode diagram of the refined model for sines of amplitude {sines}{beside}.",
-        "Response to sines of several amplitudes, all effects included; a linear system would have one "
-        "curve. Dots: measured, by level of the record; thin lines: the model with the same input.",
+        f"Response to sines of amplitude {', '.join(number(level, 3) for level in levels)}, all effects "
+        "included; a linear system would have one curve. Dots: measured, by level of the record; thin lines: "
+        "the model with the same input.",
     )
 
 
-def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
-    """Answer how well the models fit, where they fail, and what to do.
-
-    Returns
-    -------
-    sentences : list of str
-        Three of them.
-    fine : bool
-        Whether nothing stands out.
-    """
-    fits = np.nanmean(np.atleast_2d(result.fit), axis=1) if not np.isnan(result.fit).all() else None
-    data = result.data
-    best = best_of(result)
-    if fits is None:
+# ------------------------------------------------------------------ answers
+def _comparison_answer(result: Comparison) -> tuple[list[str], bool]:
+    """Answer how well the models fit, where they fail, and what to do."""
+    fits, data, best = np.atleast_2d(result.fit), result.data, best_of(result)
+    name, ahead = result.names[best], "One sample ahead, " if result.led else ""
+    if np.isnan(fits).all():
         first = f"The measured output of {data.name} is constant, so there is nothing to explain."
-    elif len(result.names) == 1:
-        first = f"The simulation of {result.names[0]} explains {fits[0]:.4g} % of the record {data.name}."
     else:
-        others = ", ".join(f"{n} {fits[i]:.4g} %" for i, n in enumerate(result.names) if i != best)
-        first = (
-            f"{result.names[best]} comes closest: it explains {fits[best]:.4g} % of the record "
-            f"{data.name} ({others})."
-        )
+        means = [f"{fit:.4g} %" for fit in np.nanmean(fits, axis=1)]
+        others = ", ".join(f"{n} {means[i]}" for i, n in enumerate(result.names) if i != best)
+        verb = f"{'predicts' if result.led else 'explains'} {means[best]} of the record {data.name}"
+        first = f"{ahead or 'The simulation of '}{name} {verb}."
+        if others:
+            first = f"{name} comes closest: {ahead.lower()}it {verb} ({others})."
     found = failures_of(result, best)
     rmse = np.atleast_2d(result.rmse)[best]
     sizes = ", ".join(
-        f"{number(rmse[i], 3)}{' ' + data.output_units[i] if data.output_units[i] else ''} in {label}"
-        for i, label in enumerate(data.output_labels)
+        f"{number(size, 3)}{' ' * bool(unit)}{unit} in {label}"
+        for size, unit, label in zip(rmse, data.output_units, data.output_labels, strict=True)
     )
     if result.led:
         return [
-            first.replace("The simulation of", "One sample ahead,").replace(" explains", " predicts"),
+            first,
             f"The typical one-step prediction error is {sizes}.",
             "This does not show that an unstable model is adequate; use diagnose to test it.",
         ], True
@@ -479,73 +451,51 @@ def comparison_answer(result: Comparison) -> tuple[list[str], bool]:
     ], False
 
 
-def response_answer(result: FrequencyComparison) -> tuple[list[str], bool]:
-    """Answer how well the models meet a measured response, and where not.
-
-    The return values are those of `comparison_answer`.
-    """
-    measured = result.measured
-    fits = result.fit if result.several else result.fit[None]
+def _response_answer(result: FrequencyComparison) -> tuple[list[str], bool]:
+    """Answer how well the models meet a measured response, and where not."""
+    measured, figures = result.measured, (result.fit, result.relative_error, result.worst)
+    fits, error, worst = (one if result.several else one[None] for one in figures)
     means = np.nan_to_num(fits, nan=-np.inf).reshape(len(result.names), -1).mean(axis=1)
     best = int(np.argmax(means))
-    error = result.relative_error if result.several else result.relative_error[None]
-    worst = result.worst if result.several else result.worst[None]
     i, j = np.unravel_index(int(np.argmin(np.nan_to_num(fits[best], nan=np.inf))), fits[best].shape)
     others = ", ".join(f"{n} {means[k]:.4g} %" for k, n in enumerate(result.names) if k != best)
     path = f"from {measured.input_labels[j]} to {measured.output_labels[i]}"
-    typical = float(np.nanmedian(error[best]))
     return [
         f"{result.names[best]} explains {means[best]:.4g} % of the measured response {measured.name}"
         + (f" ({others})." if others else "."),
         f"It deviates most near {worst[best, i, j]:.4g} rad/s, {path}.",
-        f"The typical relative error is {100 * typical:.3g} %; a record over time would show whether that "
-        "is noise.",
+        f"The typical relative error is {100 * np.nanmedian(error[best]):.3g} %; a record over time would "
+        "show whether that is noise.",
     ], False
 
 
-def diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
-    """Answer which effect is missing, how sure that is, and what to do.
-
-    The return values are those of `comparison_answer`.
-    """
+def _diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
+    """Answer which effect is missing, how sure that is, and what to do."""
     first = found.sentences()[0]
     worst = min(found.tests, key=lambda t: t.p_value) if found.tests else None
-    if worst is None:
-        second = "No test was possible."
-    elif found.verdict == "adequate":
-        second = no_test_fires(found)
-    else:
-        p = chance(worst.p_value, "p")
-        second = (
-            f"The model as given fails the residual tests, most significantly this one: {worst.name}, {p}."
-        )
     if found.verdict == "adequate":
-        seen = ", ".join(
-            f"{d.effect.label} {number(d.smallest, 3)} {d.unit}".strip() for d in found.detectable[:3]
-        )
-        third = (
-            f"Smallest effects that it would show (95 % probability): {seen}."
-            if seen
-            else "Adding an effect would only fit the noise."
-        )
-        return [first, second, third], True
+        seen = [f"{d.effect.label} {number(d.smallest, 3)} {d.unit}".strip() for d in found.detectable[:3]]
+        third = "Adding an effect would only fit the noise."
+        if seen:
+            third = f"Smallest effects that it would show (95 % probability): {', '.join(seen)}."
+        return [first, "No test was possible." if worst is None else no_test_fires(found), third], True
+    second = "No test was possible."
+    if worst is not None:
+        second = "The model as given fails the residual tests, most significantly this one: "
+        second += f"{worst.name}, {chance(worst.p_value, 'p')}."
+    table = " law() returns the force as a table." * (found.open_law is not None)
     third = {
         "parameters": numbers_that_moved(found.parameters),
         "effect": "Add it with refine, and validate the result on held-out data.",
         "ambiguous": found.sentences()[-1 - len(found.notes)],
-        "unexplained": "Do not trust the closest candidate: the missing effect is not in the library. law() "
-        "returns the force as a table."
-        if found.open_law is not None
-        else "Do not trust the closest candidate: the missing effect is not in the library.",
+        "unexplained": "Do not trust the closest candidate: the missing effect is not in the library."
+        + table,
     }[found.verdict]
     return [first, second, third], False
 
 
-def improvement_answer(found: Improvement) -> tuple[list[str], bool]:
-    """Answer how far the error fell, by which effects, and why it stopped.
-
-    The return values are those of `comparison_answer`.
-    """
+def _improvement_answer(found: Improvement) -> tuple[list[str], bool]:
+    """Answer how far the error fell, by which effects, and why it stopped."""
     first, last = found.steps[0], found.steps[-1]
     before, after = (root_mean_square(s.validation_rmse) for s in (first, last))
     unit = f" {found.output_units[0]}" if len(found.output_units) == 1 and found.output_units[0] else ""
@@ -559,11 +509,8 @@ def improvement_answer(found: Improvement) -> tuple[list[str], bool]:
     ], found.verdict == "adequate" and not names
 
 
-def refinement_answer(refinement: Refinement) -> tuple[list[str], bool]:
-    """Answer how far the fit rose and which parameter changed most.
-
-    It also states how well that parameter is known. The return values are those of `comparison_answer`.
-    """
+def _refinement_answer(refinement: Refinement) -> tuple[list[str], bool]:
+    """Answer how far the fit rose and which parameter changed most."""
     before, after = float(np.mean(refinement.initial_fit)), float(np.mean(refinement.fit))
     first = f"The refined model explains {after:.4g} % of the record, the initial one {before:.4g} %."
     moved = [r for r in refinement.parameters if r.role != "offset" and r.std > 0]

@@ -13,8 +13,9 @@ from ..data.frequency_response import FrequencyResponse
 from ..engine.amplitude_response import AmplitudeResponse
 from ..results import frequency_text
 from .bode import BodeAxes, bode
-from .figures import Frame, draws, style
-from .tables import TextTable, number, tabulates
+from .content import Content, content
+from .figures import Frame, style
+from .tables import TextTable, number
 
 _NOTES = (
     "fit = 100 (1 - |G - Gh| / |G - mean(G)|) of the complex responses: 100 % is perfect.",
@@ -25,23 +26,25 @@ _HEADERS = ("model", "output", "input", "fit [%]", "error", "over std", "worst")
 _GRAYS = ("0.15", "0.4", "0.6", "0.75")
 
 
-@tabulates(FrequencyComparison)
 def responses_table(result: FrequencyComparison) -> TextTable:
     """One row per model, output and input."""
     several = "s" if len(result.names) > 1 else ""
     title = (
         f"{len(result.names)} model{several} on response {result.measured.name!r}: {_band(result.measured)}"
     )
-    return TextTable(list(_HEADERS), _rows(result), title, list(_NOTES), left=3)
+    return TextTable(_HEADERS, _rows(result), title, _NOTES, left=3)
 
 
-@tabulates(LevelComparison)
-def levels_table(result: LevelComparison) -> TextTable:
-    """One row per amplitude, model, output and input."""
+@content.register
+def levels_content(result: LevelComparison) -> Content:
+    """Return the content of a comparison at several amplitudes."""
     first = result.levels[0]
     title = f"{len(first.names)} model(s) on {len(result.levels)} responses: {_band(first.measured)}"
     rows = [[level_name(level.measured), *row] for level in result.levels for row in _rows(level)]
-    return TextTable(["response", *_HEADERS], rows, title, list(_NOTES), left=4)
+    return Content(
+        tables=[TextTable(["response", *_HEADERS], rows, title, _NOTES, left=4)],
+        pictures={"plot": plot_levels},
+    )
 
 
 def _band(measured: FrequencyResponse) -> str:
@@ -75,7 +78,6 @@ def _rows(result: FrequencyComparison) -> list[list[str]]:
     ]  # fmt: skip
 
 
-@draws(FrequencyComparison)
 def plot_responses(result: FrequencyComparison, frame: Frame, *, omega: Any = None) -> ct.ControlPlot:
     """Bode plot with an error row; see `FrequencyComparison.plot`.
 
@@ -88,7 +90,6 @@ def plot_responses(result: FrequencyComparison, frame: Frame, *, omega: Any = No
     return bode(systems, result.measured, omega, frame, title=title)
 
 
-@draws(LevelComparison)
 def plot_levels(result: LevelComparison, frame: Frame) -> ct.ControlPlot:
     """Draw measured points and models at each amplitude.
 
@@ -125,27 +126,38 @@ _LEVEL_NOTES = (
 )
 
 
-def _title(found: AmplitudeResponse) -> str:
+@content.register
+def amplitude_content(found: AmplitudeResponse) -> Content:
+    """Return the content of an amplitude response: each peak in a row."""
     lost, loose = int((~found.converged).sum()), int((found.converged & ~found.stable).sum())
-    return (
+    title = (
         f"{found.name} driven by a sine at {found.input_label}: {found.omega.size} frequencies, "
         f"{found.omega.min():.4g} ... {found.omega.max():.4g} rad/s"
         + (f"; no steady state found at {lost} of {found.converged.size} points" if lost else "")
         + (f"; unstable at {loose} of {found.converged.size} points" if loose else "")
     )
-
-
-@tabulates(AmplitudeResponse)
-def amplitude_table(found: AmplitudeResponse) -> TextTable:
-    """One row per amplitude and output."""
     rows = []
     for level, amplitude in enumerate(found.amplitude):
         for i, label in enumerate(found.output_labels):
             gain, omega = found.peak_gain[level, i], found.peak_omega[level, i]
-            cells = ["-", "-", "-"]
+            figures = ["-", "-", "-"]
             if np.isfinite(gain):
                 most = 100 * np.nanmax(found.distortion[level, i])
-                cells = [f"{gain:.4g}", f"{omega:.5g}", f"{most:.2g}"]
-            rows.append([f"{amplitude:.4g} {found.input_unit}".strip(), label, *cells])
+                figures = [f"{gain:.4g}", f"{omega:.5g}", f"{most:.2g}"]
+            rows.append([f"{amplitude:.4g} {found.input_unit}".strip(), label, *figures])
     headers = ["amplitude", "output", "largest |G|", "at [rad/s]", "distortion [%]"]
-    return TextTable(headers, rows, _title(found), _LEVEL_NOTES, left=2)
+    return Content(
+        tables=[TextTable(headers, rows, title, _LEVEL_NOTES, left=2)],
+        columns=lambda: (_points(found),),
+    )
+
+
+def _points(found: AmplitudeResponse) -> list[dict[str, Any]]:
+    """Return the response at each frequency, amplitude and output."""
+    response = np.asarray(found.response)
+    return [
+        {"omega": omega, "amplitude": level, "output": label, "response": response[k, i, j]}
+        for k, level in enumerate(np.ravel(found.amplitude))
+        for i, label in enumerate(found.output_labels)
+        for j, omega in enumerate(found.omega)
+    ]

@@ -17,18 +17,20 @@ from ..results import with_error
 from ..streaming.history import CoefficientHistory, History
 from ..streaming.monitor.monitor import Monitor
 from ..streaming.refiner import RCORefiner
-from ..systems.linear import Array
+from ..systems.linear import Array, LinearModel
 from .bode import bode
-from .figures import BAND, Frame, draws, plain, style, trace, unit_text
-from .tables import TextTable, number, tabulates
+from .content import Content, content, fields
+from .figures import BAND, Frame, plain, style, trace, unit_text
+from .models import system_dict
+from .tables import TextTable, number
 
 _SHOWN = 8  # candidates in the table
 _MOST = 4  # candidates whose probability is drawn
 
 
-@tabulates(Monitor)
-def monitor_table(monitor: Monitor) -> TextTable:
-    """The candidates of a monitor, the most probable first."""
+@content.register
+def monitor_content(monitor: Monitor) -> Content:
+    """Return the content of a monitor: the most probable candidates."""
     n, name = monitor.n_samples, monitor._structure.linear_model.name
     stream = monitor._stream
     state = monitor.alarm
@@ -71,10 +73,13 @@ def monitor_table(monitor: Monitor) -> TextTable:
         f"False alarms: at most {monitor.false_alarms:g} in 100 000 healthy samples, one in "
         f"{seconds / size:.3g} {word}."
     )
-    return TextTable(["candidate", "coefficient", "probability", "gain"], rows, title, notes)
+    return Content(
+        tables=[TextTable(["candidate", "coefficient", "probability", "gain"], rows, title, notes)],
+        data=lambda: {"n_samples": n, "alarm": state, "rows": monitor.ranking},
+        pictures={"plot": plot_monitor},
+    )
 
 
-@draws(Monitor)
 def plot_monitor(monitor: Monitor, frame: Frame) -> ct.ControlPlot:
     """Draw statistic, probabilities and coefficient over time.
 
@@ -107,7 +112,6 @@ def plot_monitor(monitor: Monitor, frame: Frame) -> ct.ControlPlot:
         lines[2, 0] = bottom.plot(t, value, color=style(1).color, linewidth=1.5)
         bottom.set(ylabel=_coefficient_name(monitor, alarms), xlabel="time [s]")
         for axis in (top, middle, bottom):
-            axis.grid(True, alpha=0.35)
             for k, alarm in enumerate(alarms):
                 word = "alarm" if k == 0 else None
                 axis.axvline(alarm.time, color="#b5400a", linewidth=1.0, label=word if axis is top else None)
@@ -135,15 +139,21 @@ def _title(monitor: Monitor, alarms: list[Any]) -> str:
     return f"{last.effect.label} since {last.since:.4g} s{ended}"
 
 
-@tabulates(RCORefiner)
-def refiner_table(refiner: RCORefiner) -> TextTable:
-    """Settings, or parameters, with what the refiner has learned so far."""
+@content.register
+def refiner_content(refiner: RCORefiner) -> Content:
+    """Return the content of a refiner: settings, and what it has learned."""
     found = refiner._summary()
     left = 1 if refiner.form == "paper" else 3
-    return TextTable(found.headers, found.rows, found.title, found.notes, left)
+    return Content(
+        tables=[TextTable(found.headers, found.rows, found.title, found.notes, left)],
+        data=lambda: {
+            **fields(refiner, "n_samples n_learned"),
+            "system": system_dict(LinearModel.from_statespace(refiner.system)),
+        },
+        pictures={"bode_plot": plot_bode},
+    )
 
 
-@draws(RCORefiner, "bode_plot")
 def plot_bode(
     refiner: RCORefiner, frame: Frame, measured: Any = None, omega: ArrayLike | None = None
 ) -> ct.ControlPlot:
@@ -155,36 +165,42 @@ def plot_bode(
     return bode(systems, measured, omega, frame, refiner._estimator.deviation())
 
 
-@draws(History)
+@content.register
+def history_content(history: History) -> Content:
+    """Return the content of a history with the paper's settings."""
+    return Content(pictures={"plot": plot_stages})
+
+
 def plot_stages(history: History, frame: Frame) -> ct.ControlPlot:
     """Draw the performance of both stages, static coefficients and poles.
 
     See `History.plot`.
     """
     names = frame.labels(["stage 1", "stage 2"])
-    n_y = history.z1.shape[0]
-    with frame.axes([1.6] * (n_y + 2), 1) as (axes, lines):
-        stages = [(1, history.z2, names[1]), (0, history.z1, names[0])]
-        _draw_performance(axes, lines, history, stages, "simulated")
-        static = history.theta2.reshape(-1, history.timepts.size)
-        lines[n_y, 0] = axes[n_y, 0].plot(history.timepts, static.T, linewidth=1.0)
-        for line, text in zip(lines[n_y, 0], _coefficients(history), strict=False):
-            line.set_label(plain(text))
-        axes[n_y, 0].set_ylabel("static coefficients")
-        axes[n_y, 0].grid(True, alpha=0.35)
-        lines[n_y + 1, 0] = _draw_poles(axes[n_y + 1, 0], history.pole_timepts, history.poles)
-        return frame.finish(axes, lines, [axes[0, 0], axes[n_y, 0]])
+    stages = [(1, history.z2, names[1]), (0, history.z1, names[0])]
+    static = history.theta2.reshape(-1, history.timepts.size)
+    with frame.axes([1.6] * (len(history.z1) + 2), 1) as (axes, lines):
+        _draw_history(axes, lines, history, stages, "simulated")
+        _draw_coefficients(axes[-2, 0], lines[-2], history.timepts, static, _coefficients(history))
+        axes[-2, 0].set_ylabel("static coefficients")
+        return frame.finish(axes, lines, axes[[0, -2], 0])
 
 
-def _draw_performance(axes: Any, lines: Any, history: Any, stages: Sequence[Any], what: str) -> None:
-    """Draw the error of each stage, an output in a row."""
+def _draw_history(axes: Any, lines: Any, history: Any, stages: Sequence[Any], what: str) -> None:
+    """Draw the error of each stage, an output in a row, and the poles."""
     for row, output in enumerate(history.output_labels):
         for index, z, text in stages:
             if np.isfinite(z[row]).any():
                 look = {"color": style(index).color, "linewidth": 0.8, "label": text}
                 lines[row, 0] += trace(axes[row, 0], history.timepts, z[row], **look)
         axes[row, 0].set_ylabel(plain(f"{what} - measured\n{output}"))
-        axes[row, 0].grid(True, alpha=0.35)
+    lines[-1, 0] = _draw_poles(axes[-1, 0], history.pole_timepts, history.poles)
+
+
+def _draw_coefficients(axis: Any, lines: Any, times: Array, values: Array, names: Sequence[str]) -> None:
+    lines[0] = axis.plot(times, values.T, linewidth=1.0)
+    for line, text in zip(lines[0], names, strict=False):
+        line.set_label(plain(text))
 
 
 def _coefficients(history: History) -> list[str]:
@@ -196,28 +212,27 @@ def _coefficients(history: History) -> list[str]:
     return [f"{name} (u{c})" if l_u > 1 else name for c in range(l_u) for name in names]
 
 
-@draws(CoefficientHistory)
+@content.register
+def coefficients_content(history: CoefficientHistory) -> Content:
+    """Return the content of a history of coefficients."""
+    return Content(pictures={"plot": plot_coefficients})
+
+
 def plot_coefficients(history: CoefficientHistory, frame: Frame) -> ct.ControlPlot:
     """Performance, coefficients and poles; see `CoefficientHistory.plot`."""
     names = frame.labels(history.names)
-    n_y = history.z2.shape[0]
-    with frame.axes([1.6] * n_y + [2.0, 1.6], 1) as (axes, lines):
-        stages = [(0, history.z1, "stage 1"), (1, history.z2, "static stage, one sample ahead")]
-        _draw_performance(axes, lines, history, stages, "predicted")
-        for axis, z in zip(axes[:n_y, 0], history.z2, strict=True):
+    stages = [(0, history.z1, "stage 1"), (1, history.z2, "static stage, one sample ahead")]
+    size = np.nanmax(np.abs(history.coefficients), axis=1, initial=0.0)[:, None]
+    shown = history.coefficients / np.where(size > 0, size, 1.0)
+    with frame.axes([1.6] * len(history.z2) + [2.0, 1.6], 1) as (axes, lines):
+        _draw_history(axes, lines, history, stages, "predicted")
+        for axis, z in zip(axes[:, 0], history.z2, strict=False):
             usual = np.nanmax(np.abs(z), initial=0.0)
             if usual > 0:  # a stage 1 that diverged must not hide the rest
                 axis.set_ylim(-1.1 * usual, 1.1 * usual)
-        axis = axes[n_y, 0]
-        size = np.nanmax(np.abs(history.coefficients), axis=1, initial=0.0)[:, None]
-        shown = history.coefficients / np.where(size > 0, size, 1.0)
-        lines[n_y, 0] = axis.plot(history.timepts, shown.T, linewidth=1.0)
-        for line, text in zip(lines[n_y, 0], names, strict=True):
-            line.set_label(plain(text))
-        axis.set_ylabel("coefficients /\nlargest value")
-        axis.grid(True, alpha=0.35)
-        lines[n_y + 1, 0] = _draw_poles(axes[n_y + 1, 0], history.pole_timepts, history.poles)
-        return frame.finish(axes, lines, [axes[0, 0], axis])
+        _draw_coefficients(axes[-2, 0], lines[-2], history.timepts, shown, names)
+        axes[-2, 0].set_ylabel("coefficients /\nlargest value")
+        return frame.finish(axes, lines, axes[[0, -2], 0])
 
 
 def _draw_poles(axis: Any, timepts: Array, poles: NDArray[np.complex128]) -> list[Any]:
@@ -236,5 +251,4 @@ def _draw_poles(axis: Any, timepts: Array, poles: NDArray[np.complex128]) -> lis
         axis.set_yscale("log")
         axis.set_ylim(max(0.5 * positive.min(), 1e-6 * positive.max()), 2.0 * positive.max())
     axis.set(ylabel="refined poles\n|s| [rad/s]", xlabel="Time [s]")
-    axis.grid(True, alpha=0.35)
     return lines

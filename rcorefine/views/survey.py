@@ -17,22 +17,11 @@ from ..arguments import as_flag, as_path
 from ..exercises.exercise import Exercise, Grades
 from ..fleet.comparison import FleetEffect, SurveyRow
 from ..fleet.result import Survey
-from ..results import chance, counted, shows, with_error
-from .figures import BAND, Frame, draws, plain, style, unit_text
-from .page import (
-    Page,
-    boxed,
-    check_target,
-    facts,
-    links,
-    listing,
-    paragraphs,
-    pictures,
-    reports,
-    version_facts,
-    write_page,
-)
-from .tables import TextTable, Told, cells, number, tabulates, tells
+from ..results import chance, counted, with_error
+from .content import Content, content, fields, report
+from .figures import BAND, Frame, plain, style, unit_text
+from .page import Page, check_target, links, paragraphs, write_page
+from .tables import TextTable, cells, number
 
 _SHOWN = 12  # rows of the text; the others are counted
 _NAMED = 40  # machines up to which each has its name on the axis
@@ -49,9 +38,9 @@ def _row_cells(row: SurveyRow) -> list[str]:
     return [row.machine, row.record, row.verdict or "", row.label, size, sure, f"{row.seconds:.2g}"]
 
 
-@tells(Survey)
-def survey_told(found: Survey) -> Told:
-    """Return the text of a survey, the most important rows first.
+@content.register
+def survey_content(found: Survey) -> Content:
+    """Return the content of a survey, the most important rows first.
 
     Failed rows come first, then machines that stand out, then rows with effects.
     """
@@ -60,13 +49,17 @@ def survey_told(found: Survey) -> Told:
     said = found.sentences()
     left = len(order) - _SHOWN
     more = [f"... and {counted(left, 'row')} more in `rows` and `to_dataframe()`."] if left > 0 else []
-    title = f"Survey ({found.task}): {said[0]}"
-    below = [*more, *said[1:]]
     rows = [_row_cells(row) for row in order[:_SHOWN]]
-    return [title], TextTable([*_ROWS[:-2], "prob.", "s"], rows, title, below, 4), below
+    return Content(
+        title=f"Survey ({found.task}): {said[0]}",
+        tables=[TextTable([*_ROWS[:-2], "prob.", "s"], rows, left=4)],
+        below=[*more, *said[1:]],
+        answer=lambda: (said, not found.finds),
+        data=lambda: {**fields(found, "task mode significance rows effects trends"), "summary": said},
+        pictures={"plot": plot_survey},
+    )
 
 
-@draws(Survey)
 def plot_survey(found: Survey, frame: Frame) -> ct.ControlPlot:
     """Panels, one per coefficient; see `Survey.plot`."""
     shown = [effect for effect in found.effects if effect.sort != "unclear"] or list(found.effects)
@@ -99,11 +92,10 @@ def _panel(panel: Any, effect: FleetEffect) -> list[Any]:
     else:
         panel.set_xlabel(f"machine (of {len(machines)})")
     panel.axhline(0.0, color="black", linewidth=0.6)
-    panel.grid(True, axis="y", alpha=0.3)
     return drawn
 
 
-@shows(Survey, "report")
+@report.register
 def report_survey(
     found: Survey, folder: str | PathLike[str], *, title: str | None, code: str | None, overwrite: bool
 ) -> Path:
@@ -136,13 +128,10 @@ def _files(machines: tuple[str, ...]) -> dict[str, str]:
 
 
 def _index(found: Survey, files: dict[str, str], title: str | None, code: str | None) -> Page:
-    fleet = (
-        "fleet",
-        partial(found.plot, title=""),
-        "Coefficient of each machine with its 95 % interval, and mean and spread of the fleet.",
+    said = (
         "Points: estimates from the records of each machine; dashes: estimates shrunk toward the "
         "fleet mean according to their errors; gray: spread between machines. Machines that "
-        "stand out have another color.",
+        "stand out have another color."
     )
     effects = []
     for e in found.effects:
@@ -160,15 +149,17 @@ def _index(found: Survey, files: dict[str, str], title: str | None, code: str | 
     )
     failures = [[r.machine, r.record, r.error or ""] for r in found.failed]
     failed = TextTable([*_ROWS[:2], "why"], failures, "Failed", (), 3)
-    sections = {
-        "Pictures": pictures([fleet] if found.effects else []),
-        "Tables": boxed(common, failed),
-        "Machines": [links((_line(found, machine), file) for machine, file in files.items())],
-        "Code to reproduce this result": [] if code is None else [listing(code)],
-        "Versions": [facts(version_facts())],
-    }
     about = f"{len(found.rows)} record(s) of {len(found.machines)} machine(s), task {found.task}"
-    return Page(title or "Survey of a fleet", about, found.sentences(), not found.finds, sections)
+    return Page(
+        title or "Survey of a fleet",
+        about,
+        found.sentences(),
+        not found.finds,
+        pictures=[("fleet", partial(found.plot, title=""), said)] if found.effects else [],
+        tables=[common, failed],
+        more={"Machines": [links((_line(found, machine), file) for machine, file in files.items())]},
+        code=code or "",
+    )
 
 
 def _line(found: Survey, machine: str) -> str:
@@ -184,27 +175,35 @@ def _machine_page(found: Survey, machine: str) -> Page:
     rows = found.of(machine)
     mine = [(effect, one) for effect in found.effects for one in effect.machines if one.machine == machine]
     trends = [trend for trend in found.trends if trend.machine == machine]
-    over_records = "Coefficients over the records."
-    course = ("course", partial(_course, found, machine), over_records, "With 95 % intervals.")
+    course = (
+        "course",
+        partial(_course, found, machine),
+        "Coefficients over the records, with 95 % intervals.",
+    )
     said = [f"{row.record}: {sentence}" for row in rows for sentence in row.sentences]
-    sections = {
-        "Pictures": pictures([course] if trends else []),
-        "Tables": _machine_tables(rows, mine, trends),
-        "Findings for each record": [paragraphs(said)] if said else [],
-        "The fleet": [links([("all machines", _INDEX)])],
-    }
     out = any(one.stands_out for _, one in mine) or any(trend.grows for trend in trends)
-    return Page(machine, counted(len(rows), "record"), [_line(found, machine)], not out, sections)
+    return Page(
+        machine,
+        counted(len(rows), "record"),
+        [_line(found, machine)],
+        not out,
+        pictures=[course] if trends else [],
+        tables=_machine_tables(rows, mine, trends),
+        more={
+            "Findings for each record": [paragraphs(said)] if said else [],
+            "The fleet": [links([("all machines", _INDEX)])],
+        },
+    )
 
 
-def _machine_tables(rows: Sequence[SurveyRow], mine: Sequence[Any], trends: Sequence[Any]) -> list[str]:
+def _machine_tables(rows: Sequence[SurveyRow], mine: Sequence[Any], trends: Sequence[Any]) -> list[TextTable]:
     compared = [
         [e.label, e.unit, *cells(m, "value:.5g std:.2g pooled:.5g"), f"{e.mean:.5g}"]
         + ["-" if v is None else number(v, 3) for v in (m.deviation, m.p_value)]
         for e, m in mine
     ]
     changes = [[*cells(t, "label unit n_records slope:.4g std:.2g per"), chance(t.p_value)] for t in trends]
-    return boxed(
+    return [
         TextTable(_ROWS, [_row_cells(row) for row in rows], "Records", (), 4),
         TextTable(
             ["effect", "unit", "value", "std", "shrunk", "fleet", "deviation", "p"],
@@ -219,7 +218,7 @@ def _machine_tables(rows: Sequence[SurveyRow], mine: Sequence[Any], trends: Sequ
         TextTable(
             ["effect", "unit", "records", "slope", "std", "per", "p"], changes, "Change with time", left=2
         ),
-    )
+    ]
 
 
 def _course(found: Survey, machine: str) -> ct.ControlPlot:
@@ -235,54 +234,47 @@ def _course(found: Survey, machine: str) -> ct.ControlPlot:
             lines[k, 0] = [axis.errorbar(*zip(*points, strict=True), **look)]
             axis.set_ylabel(unit_text(key[0], entries[0][1].unit))
             axis.set_title(plain(f"at {key[1]}"), fontsize="small")
-            axis.grid(True, alpha=0.3)
         axes[-1, 0].set_xlabel("record")
         return frame.finish(axes, lines, [])
 
 
-@tells(Exercise)
-def exercise_told(exercise: Exercise) -> Told:
-    """Return the text of an exercise: what is given and what is asked."""
-    head = [
-        f"Exercise {exercise.ident}: {exercise.plant}, level {exercise.level}",
-        "One effect of the plant is missing in the model. Which one, where, and how large is it?",
-    ]
+@content.register
+def exercise_content(exercise: Exercise) -> Content:
+    """Return the content of an exercise: what is given and what is asked."""
     rows = [[effect.kind, effect.place, ", ".join(effect.coefficients)] for effect in exercise.candidates]
-    notes = [
-        f"Find it with .train ({exercise.train.n_samples} samples of {exercise.train.dt:g} s) and validate "
-        "it with .test.",
-        "check(kind, place, coefficient) grades an answer."
-        if exercise.has_answer
-        else "hand_in(path, student, kind, place, coefficient) writes your answer.",
-    ]
-    return head, TextTable(["kind", "place", "coefficients"], rows, head[0], notes, 3), notes
+    return Content(
+        title=f"Exercise {exercise.ident}: {exercise.plant}, level {exercise.level}",
+        above=["One effect of the plant is missing in the model. Which one, where, and how large is it?"],
+        tables=[TextTable(["kind", "place", "coefficients"], rows, left=3)],
+        below=[
+            f"Find it with .train ({exercise.train.n_samples} samples of {exercise.train.dt:g} s) and "
+            "validate it with .test.",
+            "check(kind, place, coefficient) grades an answer."
+            if exercise.has_answer
+            else "hand_in(path, student, kind, place, coefficient) writes your answer.",
+        ],
+    )
 
 
-@tabulates(Grades)
-def grades_table(found: Grades) -> TextTable:
-    """A row for each answer; remarks where there are any."""
+@content.register
+def grades_content(found: Grades) -> Content:
+    """Return the content of grades: a row for each answer, with remarks."""
     headers = "student plant level answer effect coefficient points remark".split()
     shown = slice(None if any(row.remark for row in found.rows) else -1)
-    rows = [
-        [
-            row.student,
-            row.plant,
-            str(row.level or "-"),
-            *cells(row, "answer effect coefficient points:.4g remark"),
-        ]
-        for row in found.rows
-    ]
+    rows = []
+    for row in found.rows:
+        figures = cells(row, "answer effect coefficient points:.4g remark")
+        rows.append([row.student, row.plant, str(row.level or "-"), *figures][shown])
     note = "Points: 0.6 for the effect, 0.3 for its place alone, 0.4 for the coefficient."
-    return TextTable(headers[shown], [row[shown] for row in rows], "Answers", [note], 6)
+    table = TextTable(headers[shown], rows, "Answers", [note], 6)
+    return Content(tables=[table], page=partial(_class_page, table))
 
 
 def _right(rows: Sequence[Any]) -> int:
     return sum(row.effect in ("right", "tied") for row in rows)
 
 
-@reports(Grades)
-def report_grades(found: Grades, *, title: str | None, code: str | None) -> Page:
-    """The page of a class; see `Grades.report`."""
+def _class_page(table: TextTable, found: Grades) -> Page:
     graded = [row for row in found.rows if not row.remark]
     near = sum(row.coefficient == "near enough" for row in graded)
     left = len(found.rows) - len(graded)
@@ -291,12 +283,11 @@ def report_grades(found: Grades, *, title: str | None, code: str | None) -> Page
         "coefficient.",
         f"{left} could not be graded; the table shows why." if left else "Every answer could be graded.",
     ]
-    about = f"{len(found.rows)} answers of {len({row.student for row in graded})} students"
     by_plant = []
     for plant in sorted({row.plant for row in graded}):
         rows = [row for row in graded if row.plant == plant]
         mean = number(sum(row.points for row in rows) / len(rows), 2)
         by_plant.append([plant, str(len(rows)), str(_right(rows)), mean])
     plants = TextTable(["plant", "answers", "right", "mean points"], by_plant, "By plant")
-    tables = {"Tables": boxed(grades_table(found), plants)}
-    return Page(title or "Hidden effects: results of the class", about, answer, not left, tables)
+    about = f"{len(found.rows)} answers of {len({row.student for row in graded})} students"
+    return Page("Hidden effects: results of the class", about, answer, not left, tables=[table, plants])

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import zip_longest
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-
-from ..results import shows
-
-_Cells = TypeVar("_Cells", bound=Callable[..., Any])
 
 WIDTH = 80
 
@@ -68,17 +64,9 @@ def clip(text: str, width: int) -> str:
     return text if len(text) <= width else text[: max(width - 3, 0)] + "..."
 
 
-def text_table(
-    headers: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    *,
-    title: str | None = None,
-    notes: Sequence[str] = (),
-    left: int = 1,
-) -> str:
-    """Table in plain text of at most 80 columns.
-
-    To fit, text that stands in every row is told above, and the widest text columns take several lines.
+@dataclass(frozen=True, slots=True)
+class TextTable:
+    """Table of text cells, with notes on their meaning below.
 
     Parameters
     ----------
@@ -93,109 +81,6 @@ def text_table(
     left : int
         That many columns from the left are text, set left; the others are
         set right.
-
-    Returns
-    -------
-    str
-        Lines joined by newlines.
-
-    Examples
-    --------
-    >>> print(text_table(["model", "fit"], [["plant", "41.2"]], notes=["fit in percent."]))
-    model   fit
-    -----  ----
-    plant  41.2
-    fit in percent.
-    """
-    table = [list(headers), *[[str(cell) for cell in row] for row in rows]]
-    alike: list[str] = []
-    if len(rows) > 1 and sum(max(map(len, column)) + 2 for column in zip(*table, strict=True)) - 2 > WIDTH:
-        # what stands in every row is told once, before any name is cut
-        for i in range(left - 1, 0, -1):
-            if len({row[i] for row in table[1:]}) == 1:
-                left -= 1
-                header, cell = [row.pop(i) for row in table][:2]
-                alike.insert(0, f"{header}: {cell}")
-    widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
-    while sum(widths) + 2 * (len(widths) - 1) > WIDTH:
-        # names take several lines rather than figures
-        widest = max(range(len(widths)), key=lambda i: (i < left, widths[i]) if widths[i] > 8 else (False, 0))
-        if widths[widest] <= 8:
-            break
-        widths[widest] -= 1
-    lines = []
-    for index, row in enumerate(table):
-        cells = [_lines(cell, size) for cell, size in zip(row, widths, strict=True)]
-        for parts in zip_longest(*cells, fillvalue=""):
-            lines.append(
-                "  ".join(
-                    part.ljust(size) if i < left else part.rjust(size)
-                    for i, (part, size) in enumerate(zip(parts, widths, strict=True))
-                ).rstrip()
-            )
-        if index == 0:
-            lines.append("  ".join("-" * size for size in widths))
-    titles = ([] if title is None else title.split("\n")) + ([", ".join(alike)] if alike else [])
-    above = [line for part in titles for line in textwrap.wrap(part, WIDTH)]
-    below = [line for note in notes for line in textwrap.wrap(note, WIDTH, subsequent_indent="  ")]
-    return "\n".join([*above, *lines, *below])
-
-
-def _lines(cell: str, size: int) -> list[str]:
-    """Wrap a cell to lines of at most `size` characters.
-
-    Names stay whole; a word that is too long is broken.
-    """
-    return textwrap.wrap(" ".join(cell.split()), max(size, 1), break_on_hyphens=False) or [""]
-
-
-def html_table(
-    headers: Sequence[str],
-    rows: Sequence[Sequence[str]],
-    *,
-    title: str | None = None,
-    notes: Sequence[str] = (),
-    left: int = 1,
-) -> str:
-    """Table in HTML; names from files may hold anything, so all is escaped.
-
-    Parameters
-    ----------
-    headers, rows, title, notes, left
-        As in `text_table`.
-
-    Returns
-    -------
-    str
-        One ``div`` element.
-
-    Examples
-    --------
-    >>> "&lt;b&gt;" in html_table(["model"], [["<b>"]])
-    True
-    """
-
-    def align(index: int) -> str:
-        return ' style="text-align:left"' if index < left else ' style="text-align:right"'
-
-    head = "".join(f'<th scope="col"{align(i)}>{escape(str(cell))}</th>' for i, cell in enumerate(headers))
-    body = "".join(
-        "<tr>" + "".join(f"<td{align(i)}>{escape(str(cell))}</td>" for i, cell in enumerate(row)) + "</tr>"
-        for row in rows
-    )
-    caption = "" if title is None else f"<caption>{escape(title)}</caption>"
-    below = "".join(f"<p>{escape(note)}</p>" for note in notes)
-    return (
-        f'<div class="rcorefine"><table>{caption}<thead><tr>{head}</tr></thead>'
-        f"<tbody>{body}</tbody></table>{below}</div>"
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class TextTable:
-    """Table of text cells, with notes on their meaning below.
-
-    The fields are the arguments of `text_table`.
     """
 
     headers: Sequence[str]
@@ -207,50 +92,99 @@ class TextTable:
     def text(self) -> str:
         """Return plain text of at most 80 columns.
 
+        To fit, text that stands in every row is told above, and the widest text columns take several lines.
         Without rows, it holds only the title and the notes.
         """
         if not self.rows:
-            return "\n".join(wrapped([*([self.title] if self.title else []), *self.notes]))
-        return text_table(self.headers, self.rows, title=self.title, notes=self.notes, left=self.left)
+            return "\n".join(wrapped([self.title or "", *self.notes]))
+        table, left = [[str(cell) for cell in row] for row in (self.headers, *self.rows)], self.left
+        alike: list[str] = []
+        if (
+            len(table) > 2
+            and sum(max(map(len, column)) + 2 for column in zip(*table, strict=True)) - 2 > WIDTH
+        ):
+            # what stands in every row is told once, before any name is cut
+            for i in range(left - 1, 0, -1):
+                if len({row[i] for row in table[1:]}) == 1:
+                    left -= 1
+                    header, cell = [row.pop(i) for row in table][:2]
+                    alike.insert(0, f"{header}: {cell}")
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        while sum(widths) + 2 * (len(widths) - 1) > WIDTH:
+            # names take several lines rather than figures
+            widest = max(
+                range(len(widths)), key=lambda i: (i < left, widths[i]) if widths[i] > 8 else (False, 0)
+            )
+            if widths[widest] <= 8:
+                break
+            widths[widest] -= 1
+        lines = []
+        for row in table:
+            cells = [_lines(cell, size) for cell, size in zip(row, widths, strict=True)]
+            for parts in zip_longest(*cells, fillvalue=""):
+                sized = enumerate(zip(parts, widths, strict=True))
+                shown = [f"{part:{'<' if i < left else '>'}{size}}" for i, (part, size) in sized]
+                lines.append("  ".join(shown).rstrip())
+            if row is table[0]:
+                lines.append("  ".join("-" * size for size in widths))
+        above = wrapped([*(self.title or "").split("\n"), ", ".join(alike)])
+        below = [line for note in self.notes for line in textwrap.wrap(note, WIDTH, subsequent_indent="  ")]
+        return "\n".join([*above, *lines, *below])
 
     def html(self) -> str:
-        """Return the table as HTML."""
-        return html_table(self.headers, self.rows, title=self.title, notes=self.notes, left=self.left)
+        """Return one ``div`` element.
+
+        Names from files may hold anything, so all is escaped.
+        """
+
+        def line(row: Sequence[str], tag: str) -> str:
+            cells = ""
+            for i, cell in enumerate(row):
+                side = "left" if i < self.left else "right"
+                cells += f'<{tag} style="text-align:{side}">{escape(str(cell))}</{tag[:2]}>'
+            return f"<tr>{cells}</tr>"
+
+        head = line(self.headers, 'th scope="col"')
+        body = "".join(line(row, "td") for row in self.rows)
+        caption = "" if self.title is None else f"<caption>{escape(self.title)}</caption>"
+        below = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
+        return (
+            f'<div class="rcorefine"><table>{caption}<thead>{head}</thead>'
+            f"<tbody>{body}</tbody></table>{below}</div>"
+        )
 
 
-def tabulates(kind: type) -> Callable[[_Cells], _Cells]:
-    """Enter the `TextTable` that results of this class are, in text and HTML."""
+def text_table(headers: Sequence[str], rows: Sequence[Sequence[str]], **options: Any) -> str:
+    """Return a `TextTable` in plain text of at most 80 columns.
 
-    def enter(table: _Cells) -> _Cells:
-        shows(kind, "text")(lambda result: table(result).text())
-        shows(kind, "html")(lambda result: table(result).html())
-        return table
-
-    return enter
-
-
-#: Sentences, a table, sentences.
-Told = tuple[Sequence[str], TextTable, Sequence[str]]
-
-
-def tells(kind: type) -> Callable[[_Cells], _Cells]:
-    """Register the text of results of a class.
-
-    The text has sentences above, a `TextTable`, and sentences below.
-    In HTML it is the table, which has a title and notes for that.
+    Examples
+    --------
+    >>> print(text_table(["model", "fit"], [["plant", "41.2"]], notes=["fit in percent."]))
+    model   fit
+    -----  ----
+    plant  41.2
+    fit in percent.
     """
+    return TextTable(headers, rows, **options).text()
 
-    def enter(parts: _Cells) -> _Cells:
-        def text(result: Any) -> str:
-            above, table, below = parts(result)
-            cells = text_table(table.headers, table.rows, left=table.left)
-            return "\n".join([*wrapped(above), *([cells] if table.rows else []), *wrapped(below)])
 
-        shows(kind, "text")(text)
-        shows(kind, "html")(lambda result: parts(result)[1].html())
-        return parts
+def html_table(headers: Sequence[str], rows: Sequence[Sequence[str]], **options: Any) -> str:
+    """Return a `TextTable` in HTML, all text escaped.
 
-    return enter
+    Examples
+    --------
+    >>> "&lt;b&gt;" in html_table(["model"], [["<b>"]])
+    True
+    """
+    return TextTable(headers, rows, **options).html()
+
+
+def _lines(cell: str, size: int) -> list[str]:
+    """Wrap a cell to lines of at most `size` characters.
+
+    Names stay whole; a word that is too long is broken.
+    """
+    return textwrap.wrap(" ".join(cell.split()), max(size, 1), break_on_hyphens=False) or [""]
 
 
 def wrapped(sentences: Sequence[str]) -> list[str]:
