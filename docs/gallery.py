@@ -1,8 +1,11 @@
 """A page for each effect, from its own words and a small simulation: python docs/gallery.py FOLDER"""
 
+import os
 import sys
 import warnings
-from functools import cache
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache, partial
+from multiprocessing import get_all_start_methods, get_context
 from pathlib import Path
 
 import matplotlib
@@ -283,6 +286,12 @@ def page_kinds():
     }
 
 
+def _written(folder, entry):
+    """Write the page and the picture of one effect."""
+    kind, sort = entry
+    (folder / f"{kind}.md").write_text(page(kind, sort, folder), encoding="utf-8")
+
+
 def write(folder):
     """Write all pages, unless they are newer than the laws and this file."""
     sources = [Path(__file__), *Path(rco.__file__).parent.joinpath("effects").glob("*.py")]
@@ -292,8 +301,13 @@ def write(folder):
     folder.mkdir(exist_ok=True)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for kind, sort in page_kinds().items():
-            (folder / f"{kind}.md").write_text(page(kind, sort, folder), encoding="utf-8")
+        first, *others = page_kinds().items()  # with the records of all effects, which the others inherit
+        _written(folder, first)  # what numba compiles is then on disk
+        if "fork" in get_all_start_methods():  # a diagnosis per page takes the time
+            with ProcessPoolExecutor(min(4, os.cpu_count() or 1), get_context("fork")) as pool:
+                list(pool.map(partial(_written, folder), others))
+        else:
+            list(map(partial(_written, folder), others))
     parts = [
         "# Gallery of effects\n\nOne page for each: what it looks like, how it is found, "
         "with what it is confused. "
