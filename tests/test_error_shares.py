@@ -3,6 +3,7 @@
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from scipy.integrate import solve_ivp
 
 import rcorefine as rco
@@ -82,19 +83,24 @@ def test_a_small_error_is_significant_and_does_not_matter(slightly_wrong):
     assert "adequate to" in told
     assert "The residual is not noise" in told
     assert "No residual test is significant" not in told
-    strict = rco.diagnose(MODEL, data, candidates=NONE, matters=0.0005)
+
+
+@pytest.mark.slow
+def test_the_same_error_is_unexplained_where_less_matters(slightly_wrong):
+    strict = rco.diagnose(MODEL, slightly_wrong[0], candidates=NONE, matters=0.0005)
     assert strict.verdict == "unexplained"
     assert np.isnan(strict.adequate_to)
 
 
-def test_the_improvement_says_the_same(slightly_wrong):
+@pytest.mark.parametrize(("matters", "word"), [(0.01, "adequate"), *slow((0.0005, "unexplained"))])
+def test_the_improvement_says_the_same(slightly_wrong, matters, word):
     data, _ = slightly_wrong
-    found = rco.improve(MODEL, data, candidates=NONE)
-    assert found.verdict == "adequate"
-    assert found.effects == ()
-    assert found.error_shares[0].model < 0.01
-    assert "adequate to" in found.message
-    assert rco.improve(MODEL, data, candidates=NONE, matters=0.0005).verdict == "unexplained"
+    found = rco.improve(MODEL, data, candidates=NONE, matters=matters)
+    assert found.verdict == word
+    if word == "adequate":
+        assert found.effects == ()
+        assert found.error_shares[0].model < 0.01
+        assert "adequate to" in found.message
 
 
 def test_records_confirm_what_is_wrong_by_less_than_matters(slightly_wrong):
@@ -130,6 +136,7 @@ def released():
 LAWS = ("cubic_stiffness", "gravity", "soft_clearance", "clearance", "quadratic_damping")
 
 
+@pytest.mark.slow
 def test_a_release_is_diagnosed_although_the_model_is_out_of_step(released):
     """A simulation with another period explains nothing of nine seconds: no reason to see no motion."""
     model, data = released
@@ -140,6 +147,7 @@ def test_a_release_is_diagnosed_although_the_model_is_out_of_step(released):
     assert np.isnan(found.adequate_to)
 
 
+@pytest.mark.slow
 def test_an_imitation_of_the_large_swing_fails_where_it_has_become_smaller(released):
     """Without friction among the candidates no set passes; gravity is what holds for all of the decay."""
     model, data = released

@@ -64,7 +64,8 @@ def judged(step) -> float:
     return float(np.mean(np.log(step.validation_rmse)))
 
 
-@pytest.mark.parametrize("seed", [6, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [6, 10])
 def test_a_ladder_never_ends_worse_than_it_began_on_what_judges(seed: int) -> None:
     """The last fifth has levels that the rest does not: what was learned there may not hold here."""
     model, data = tanks(seed, 400)
