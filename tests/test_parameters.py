@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import control as ct
 import numpy as np
 import pytest
-from cases import slow
+from cases import offered, slow
 from inner import Case, Engine, Progress, Search, Structure, base_fit
 from scipy.signal import cont2discrete, dlsim
 from scipy.stats import binom, chi2, norm
@@ -103,8 +104,9 @@ def test_numbers_beyond_their_prior_are_found_and_not_pulled_back(
     assert np.sum(np.square(z)) < chi2.isf(0.005, len(z))
 
 
-def test_the_fewest_changes_that_explain_a_record_are_said() -> None:
-    found = rco.diagnose(BUILT, record(7, k1=0.8, c2=2.0))
+def test_the_fewest_changes_that_explain_a_record_are_said(tmp_path: Path) -> None:
+    laws = offered(BUILT, ("stiffness", "damping", "mass", "coulomb_friction"))
+    found = rco.diagnose(BUILT, record(7, n=500, k1=0.8, c2=2.0), candidates=laws)
     assert found.verdict == "parameters"
     said = " ".join(str(found).split()).partition(
         "Two changed parameters explain the record (times nominal): "
@@ -113,6 +115,8 @@ def test_the_fewest_changes_that_explain_a_record_are_said() -> None:
     for name, ratio, _, std in (first, second):
         assert abs(float(ratio) - {"k1": 0.8, "c2": 2.0}[name]) < 4 * float(std)
     assert {first[0], second[0]} == {"k1", "c2"}
+    page = found.report(tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "Two changed parameters explain the record" in page
 
 
 def test_changes_given_that_others_are_nominal(rng: np.random.Generator) -> None:

@@ -188,7 +188,7 @@ def _tests(found: Diagnosis, worst: FTest) -> list[str]:
     if found.verdict != "unexplained":
         lines.append(found.left_to_noise)
     if found.floated is not None:
-        lines += [_fewest_changes(found.floated), numbers_that_moved(determined(found.floated)), _ALIKE]
+        lines += [sparse_changes(found.floated), numbers_that_moved(determined(found.floated)), _ALIKE]
     return lines
 
 
@@ -425,10 +425,18 @@ def determined(model: Refinement) -> list[EstimatedParameter]:
     return found
 
 
-def _fewest_changes(model: Refinement) -> str:
+def sparse_changes(model: Refinement) -> str:
     """Return the sentence on the fewest parameters that explain a record.
 
-    All other parameters agree with their nominal values. Empty if no set of up to three explains it.
+    Parameters
+    ----------
+    model : Refinement
+        Its linear parameters were estimated.
+
+    Returns
+    -------
+    str
+        All other parameters agree with their nominal values. Empty if no set of up to three explains it.
     """
     at = [i for i, r in enumerate(model.parameters) if r.role == "linear" and r.initial]
     rows = [model.parameters[i] for i in at]
