@@ -307,7 +307,7 @@ def _estimated(row: RankedEffect) -> str:
 _LISTED = 6  # numbers that are listed
 _TOLD = 0.1  # of the standard deviation of its prior, below which a parameter is determined alone
 _ALONE = 0.1  # of its variance that is left where others are known, below which only products are determined
-_CONSISTENT = 0.05  # p-value above which parameters agree with their nominal values
+_CONSISTENT = 0.01  # p-value above which parameters agree with their nominal values
 _FEW, _ENUMERATED = 3, 12  # most parameters of a set, and most parameters of which sets are tried
 _POWER = 0.05  # of a parameter in a product, below which it takes no part
 
