@@ -56,10 +56,10 @@ OUTER = {
 #: Tokens of code (no docstring, comment, line end) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 7740, "arguments": 2156, "commands": 8225, "comparison": 28171, "data": 25265, "diagnosis": 74037,
-    "effects": 30700, "engine": 49984, "examples": 2261, "exercises": 4993, "explorer": 11435,
+    ".": 7740, "arguments": 2156, "commands": 8192, "comparison": 28171, "data": 25265, "diagnosis": 73421,
+    "effects": 30700, "engine": 49982, "examples": 2261, "exercises": 4993, "explorer": 11435,
     "export": 6216, "fleet": 10022, "inference": 32653, "localization": 11722, "models": 42529,
-    "refinement": 1787, "streaming": 73542, "systems": 5887, "views": 39768,
+    "refinement": 1787, "streaming": 73542, "systems": 5887, "views": 39706,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import control as ct
 import numpy as np
 import pytest
-from cases import offered, slow
+from cases import slow
 from inner import Case, Engine, Progress, Search, Structure, base_fit
 from scipy.signal import cont2discrete, dlsim
 from scipy.stats import binom, chi2, norm
@@ -102,46 +101,6 @@ def test_numbers_beyond_their_prior_are_found_and_not_pulled_back(
             z.append((row.value / row.initial - factors.get(name, 1.0)) / (row.std / row.initial))
     assert np.max(np.abs(z)) < norm.isf(0.005 / len(z))
     assert np.sum(np.square(z)) < chi2.isf(0.005, len(z))
-
-
-@pytest.mark.usefixtures("without_pictures")
-def test_the_fewest_changes_that_explain_a_record_are_said(tmp_path: Path) -> None:
-    laws = offered(BUILT, ("stiffness", "damping", "mass", "coulomb_friction"))
-    found = rco.diagnose(BUILT, record(7, k1=0.8, c2=2.0), candidates=laws)
-    assert found.verdict == "parameters"
-    said = " ".join(str(found).split()).partition(
-        "Two changed parameters explain the record (times nominal): "
-    )
-    first, second = (words.split() for words in said[2].split(". ")[0].split(" and "))
-    for name, ratio, _, std in (first, second):
-        assert abs(float(ratio) - {"k1": 0.8, "c2": 2.0}[name]) < 4 * float(std)
-    assert {first[0], second[0]} == {"k1", "c2"}
-    page = found.report(tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "Two changed parameters explain the record" in page
-
-
-def test_changes_given_that_others_are_nominal(rng: np.random.Generator) -> None:
-    """The minimum of the quadratic form over the free ones, by least squares."""
-    root = rng.standard_normal((5, 5))
-    C, change = root @ root.T, rng.standard_normal(5)
-    white = np.linalg.cholesky(np.linalg.inv(C)).T
-    for free in ([1], [0, 3]):
-        solution, left, *_ = np.linalg.lstsq(white[:, free], white @ change, rcond=None)
-        p, value, std = words.others_nominal(change, C, free)
-        assert p == pytest.approx(chi2.sf(left[0], 5 - len(free)))
-        np.testing.assert_allclose(value, solution, rtol=1e-9)
-        information = white[:, free].T @ white[:, free]
-        np.testing.assert_allclose(std**2, np.diag(np.linalg.inv(information)), rtol=1e-9)
-
-
-def test_two_parameters_of_which_the_product_is_known_are_both_said() -> None:
-    """The sum of the first two logarithms is known to 1e-4; one of them changed by 0.2."""
-    apart = np.array([1.0, -1.0, 0.0])
-    C = 0.005 * np.outer(apart, apart) + 1e-8 * np.eye(3)
-    sets = {tuple(free): value for free, value, _ in words.fewest_changes(np.array([0.1, 0.1, 0.0]), C)}
-    assert sets.keys() == {(0,), (1,)}
-    np.testing.assert_allclose(list(sets.values()), 0.2, rtol=1e-5)
-    assert not words.fewest_changes(np.array([1.0, 2.0, 3.0, 4.0, 5.0]), 1e-4 * np.eye(5))
 
 
 def asked(base: rco.Refinement, data: rco.Measurement) -> Search:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import stats
 
 from ..effects.effect import Effect
 from ..inference.levels import levels
 from ..inference.parameters import EstimatedParameter
 from ..inference.refinement import Refinement
 from ..results import chance, with_error
-from ..systems.linear import Array
 from .error_shares import in_percent
 from .residual_tests import overall
 
@@ -188,7 +185,7 @@ def _tests(found: Diagnosis, worst: FTest) -> list[str]:
     if found.verdict != "unexplained":
         lines.append(found.left_to_noise)
     if found.floated is not None:
-        lines += [sparse_changes(found.floated), numbers_that_moved(determined(found.floated)), _ALIKE]
+        lines += [numbers_that_moved(determined(found.floated)), _ALIKE]
     return lines
 
 
@@ -307,8 +304,6 @@ def _estimated(row: RankedEffect) -> str:
 _LISTED = 6  # numbers that are listed
 _TOLD = 0.1  # of the standard deviation of its prior, below which a parameter is determined alone
 _ALONE = 0.1  # of its variance that is left where others are known, below which only products are determined
-_CONSISTENT = 0.01  # p-value above which parameters agree with their nominal values
-_FEW, _ENUMERATED = 3, 12  # most parameters of a set, and most parameters of which sets are tried
 _POWER = 0.05  # of a parameter in a product, below which it takes no part
 
 
@@ -423,95 +418,6 @@ def determined(model: Refinement) -> list[EstimatedParameter]:
             std = abs(ratio) * float(np.sqrt(max(left[i, i], 0.0)))
             found.append(replace(row, name=name, initial=1.0, value=ratio, coefficient=ratio - 1.0, std=std))
     return found
-
-
-def sparse_changes(model: Refinement) -> str:
-    """Return the sentence on the fewest parameters that explain a record.
-
-    Parameters
-    ----------
-    model : Refinement
-        Its linear parameters were estimated.
-
-    Returns
-    -------
-    str
-        All other parameters agree with their nominal values. Empty if no set of up to three explains it.
-    """
-    at = [i for i, r in enumerate(model.parameters) if r.role == "linear" and r.initial]
-    rows = [model.parameters[i] for i in at]
-    if not 1 < len(rows) <= _ENUMERATED or any(row.value / row.initial <= 0 for row in rows):
-        return ""
-    # changes of the logarithms, and their covariance
-    size = np.abs([row.value for row in rows])
-    u, C = np.log([row.value / row.initial for row in rows]), model.covariance[np.ix_(at, at)]
-    C = C / np.outer(size, size)
-    sets = fewest_changes(u, C)
-    texts = []
-    for free, change, std in sets[:_FEW]:
-        ratios = zip(free, np.exp(change), np.exp(change) * std, strict=True)
-        texts.append(" and ".join(f"{rows[i].name} {with_error(ratio, sd)}" for i, ratio, sd in ratios))
-    if not sets:
-        return ""
-    n = len(sets[0][0])
-    count = f"{_NUMBERS[n]} changed parameters explain" if n > 1 else "One changed parameter explains"
-    tied = f" The data cannot distinguish {len(sets)} such sets." if len(sets) > 1 else ""
-    return f"{count} the record (times nominal): {'; or '.join(texts)}.{tied}"
-
-
-def fewest_changes(change: Array, C: Array) -> list[tuple[list[int], Array, Array]]:
-    """Return the smallest sets of parameters of which the others are nominal.
-
-    Parameters
-    ----------
-    change : ndarray, shape (p,)
-        Estimated changes of parameters.
-    C : ndarray, shape (p, p)
-        Their covariance matrix.
-
-    Returns
-    -------
-    list of (list of int, ndarray, ndarray)
-        The set, its changes and their standard deviations, the most probable set first. All have the same
-        size, at most three; empty if no such set explains the changes.
-    """
-    for n in range(1, min(_FEW + 1, change.size)):
-        tried = [
-            (list(free), *others_nominal(change, C, list(free)))
-            for free in combinations(range(change.size), n)
-        ]
-        sets = sorted((one for one in tried if one[1] > _CONSISTENT), key=lambda one: -one[1])
-        if sets:
-            return [(free, value, std) for free, _, value, std in sets]
-    return []
-
-
-def others_nominal(change: Array, C: Array, free: list[int]) -> tuple[float, Array, Array]:
-    """Hold all but a few estimated changes at zero.
-
-    Parameters
-    ----------
-    change : ndarray, shape (p,)
-        Estimated changes of parameters.
-    C : ndarray, shape (p, p)
-        Their covariance matrix.
-    free : list of int
-        Parameters that may change.
-
-    Returns
-    -------
-    p_value : float
-        Wald's test that the others do not change.
-    change, std : ndarray, shape (len(free),)
-        Changes of the free ones, given that.
-    """
-    rest = [i for i in range(change.size) if i not in free]
-    cross = C[np.ix_(rest, free)]
-    # conditional normal distribution
-    solved = np.linalg.lstsq(C[np.ix_(rest, rest)], np.c_[change[rest], cross], rcond=1e-12)[0]
-    variance = np.diag(C)[free] - np.sum(cross * solved[:, 1:], axis=0)
-    p_value = float(stats.chi2.sf(change[rest] @ solved[:, 0], len(rest)))
-    return p_value, change[free] - cross.T @ solved[:, 0], np.sqrt(np.maximum(variance, 0.0))
 
 
 def far_numbers(rows: Sequence[EstimatedParameter]) -> list[str]:

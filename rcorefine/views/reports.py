@@ -18,7 +18,7 @@ from ..data.records import stretches_by_level
 from ..diagnosis.check_rows import warned
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, Improvement, next_step
-from ..diagnosis.words import no_test_fires, numbers_that_moved, sparse_changes
+from ..diagnosis.words import no_test_fires, numbers_that_moved
 from ..engine.simulation import simulated
 from ..inference.parameters import EstimatedParameter
 from ..inference.refinement import Refinement
@@ -483,9 +483,8 @@ def _diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
         second = "The model as given fails the residual tests, most significantly this one: "
         second += f"{worst.name}, {chance(worst.p_value, 'p')}."
     table = " law() returns the force as a table." * (found.open_law is not None)
-    few = "" if found.floated is None else sparse_changes(found.floated)
     third = {
-        "parameters": few or numbers_that_moved(found.parameters),
+        "parameters": numbers_that_moved(found.parameters),
         "effect": "Add it with refine, and validate the result on held-out data.",
         "ambiguous": found.sentences()[-1 - len(found.notes)],
         "unexplained": "Do not trust the closest candidate: the missing effect is not in the library."
