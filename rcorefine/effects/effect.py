@@ -256,6 +256,8 @@ class Effect:
         'series resistance at iL'
         """
         as_choice(port_kind, "port_kind", tuple(DOMAINS))
+        if port_kind == self._domain:
+            return self
         return _restore({name: getattr(self, name) for name in ARGUMENTS}, port_kind)
 
     def bounds(self, coefficient: str) -> tuple[float, float]:

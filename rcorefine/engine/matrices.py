@@ -46,7 +46,7 @@ def site_of(structure: Structure, index: int) -> Site:
     """
     effect, base, n = structure.effects[index], structure.linear_model, structure.n_states
     where = effect.spec.where
-    rows, inputs = [np.zeros(n)] * 3, [np.zeros(structure.n_inputs)] * 3
+    rows, inputs = np.zeros((3, n)), [np.zeros(structure.n_inputs)] * 3
     channel, entry, output = -1, (0, 0), np.zeros(0)
     if "input" in where:
         channel = base.input_labels.index(effect.place)
@@ -57,7 +57,7 @@ def site_of(structure: Structure, index: int) -> Site:
     else:
         # port: column of its force, rows of its displacement and velocity; zero for added states
         port = structure.model.port(effect.place)
-        rows = [np.pad(row, (0, n - row.size)) for row in (port.act, port.position, port.velocity)]
+        rows[:, : base.n_states] = port.act, port.position, port.velocity
         inputs = [port.position_input, port.velocity_input, port.acceleration_input]
         output = port.output
     added = enumerate(structure.added_states, structure.loop.stop)
@@ -198,7 +198,7 @@ def _assemble(structure: Structure, theta: NDArray[Any], scales: dict[str, Any])
     A, Bu = rates[:, :n], rates[:, n:]
     # A and Bu are views of one array, so that effects can write whole rows
     A[: base.n_states, : base.n_states], Bu[: base.n_states] = base.A, base.B
-    Uw = np.hstack([np.eye(nw, dtype=kind), np.zeros((nw, 1), kind)])
+    Uw = np.eye(nw, nw + 1, dtype=kind)
     one, constant = np.eye(n, dtype=kind), np.zeros(n, kind)
     into = Assembly(rates, A, Bu, one, constant, Uw, np.ones(ny, kind), np.zeros(ny, kind))
     for index, site in structure.sites.items():

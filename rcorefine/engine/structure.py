@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..effects.compiled import MAX_COEFFICIENTS
 from ..effects.effect import Effect
 from ..effects.formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
-from ..effects.law import AbsorbedLaw
+from ..effects.law import AbsorbedLaw, Site
 from ..effects.right_hand_side import Field, ModelParameter
 from ..exceptions import ModelError
 from ..models.conversion import as_physical
@@ -115,12 +115,6 @@ class Structure:
         self.n_states = self.loop.stop + len(self.added_states)
         self.n_ports = len(self._port_effects)
         self.kept = Kept(_KEPT)
-        # where each linear effect enters A, B, C, D
-        self.sites = {
-            index: site_of(self, index)
-            for index, effect in enumerate(self.effects)
-            if isinstance(effect.spec, AbsorbedLaw)
-        }
 
     # ------------------------------------------------------------- registration
     def _register(self, index: int, effect: Effect) -> None:
@@ -171,6 +165,15 @@ class Structure:
         sd = effect.prior.get(name, np.inf)
         mean = effect.start.get(name, 0.0) if name in effect.prior else 0.0
         self.parameters.append(Parameter(index, name, label, low, high, mean, sd))
+
+    @cached_property
+    def sites(self) -> dict[int, Site]:
+        """Return where each linear effect enters A, B, C and D, by its index."""
+        return {
+            index: site_of(self, index)
+            for index, effect in enumerate(self.effects)
+            if isinstance(effect.spec, AbsorbedLaw)
+        }
 
     # ------------------------------------------------------------------- values
     @property

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import ArrayLike, NDArray
 from scipy import stats
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from ..exceptions import DataError
 from ..systems.linear import Array
@@ -251,14 +251,16 @@ def autoregression(
         return np.eye(1, 1 + (order or 0))[0], power / max(n, 1)
     # Cholesky factorization: least squares of all orders at once
     ridge = _RIDGE * np.trace(products) / (most + 1) * np.eye(most)
-    lower = cholesky(products[1:, 1:] + ridge, lower=True)
-    along = solve_triangular(lower, products[1:, 0], lower=True)
+    lower, failed = dpotrf(products[1:, 1:] + ridge, lower=True, clean=True)
+    if failed:
+        raise np.linalg.LinAlgError("the lagged samples of the signal are linearly dependent")
+    along, _ = dtrtrs(lower, products[1:, 0], lower=True)
     # residual power of each order
     rest = np.maximum(power - np.concatenate([[0.0], np.cumsum(along**2)]), 1e-14 * power)
     # information criterion: log-likelihood and price of the coefficients
     best = int(np.argmin(n * np.log(rest) + price * np.arange(rest.size))) if order is None else order
     # coefficients of the chosen order
-    past = solve_triangular(lower[:best, :best], along[:best], lower=True, trans="T")
+    past = dtrtrs(lower[:best, :best], along[:best], lower=True, trans=True)[0] if best else along[:0]
     return np.concatenate([[1.0], -past]), float(rest[best]) / n
 
 
@@ -267,13 +269,14 @@ def _products(r: Array, most: int) -> Array:
 
     The shape is (most + 1, most + 1).
     """
-    n, lags = r.size, np.arange(most + 1)
+    n = r.size
     products = np.empty((most + 1, most + 1))
-    products[0] = [r[most:] @ r[most - lag : n - lag] for lag in lags]
-    for i in range(most):  # shift by one sample: one product enters the sum, one leaves it
-        entered, left = r[most - 1 - i] * r[most - 1 - lags[:-1]], r[n - 1 - i] * r[n - 1 - lags[:-1]]
-        products[i + 1, 1:] = products[i, :-1] + entered - left
-        products[i + 1, 0] = products[0, i + 1]
+    products[0] = products[:, 0] = np.correlate(r, r[most:])[::-1]
+    # shift by one sample: one product enters the sum, one leaves it
+    first, last = r[:most][::-1], r[n - most :][::-1]
+    entered, left = np.outer(first, first), np.outer(last, last)
+    for i in range(most):
+        products[i + 1, 1:] = products[i, :-1] + entered[i] - left[i]
     return products
 
 
