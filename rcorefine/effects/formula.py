@@ -154,6 +154,8 @@ class FormulaLaw(Law):
     def code(self) -> int:
         """Code of the law as it is now, valid in this process only."""
         made, law, slopes = self._codes, self.law, self.slopes
+        if made and str(getattr(law, "__module__", "")).startswith(__package__):
+            return next(iter(made.values()))[0]  # a law of the package reads no variable
         # the law is compiled anew when constants that it reads have changed
         read = b"" if b"" in made else read_by(law, slopes)
         if read not in made:
