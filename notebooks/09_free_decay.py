@@ -70,16 +70,15 @@ shown = compared.plot("decay")
 # Second, the frequency depends on the amplitude: the restoring torque grows less than the angle.
 
 # %%
-found = rco.diagnose(model, data)
-print(found)
+steps = rco.improve(model, data)
+print(steps.diagnosis)
 
 # %% [markdown]
-# `diagnose` names both effects: Coulomb friction, and gravity, whose torque follows the sine of the angle.
-# `improve` adds them one by one and validates them on the last part of the motion. A second release from
-# another angle must give the same coefficients.
+# The diagnosis, that of `diagnose`, names both effects: Coulomb friction, and gravity, whose torque follows
+# the sine of the angle. `improve` adds them one by one and validates them on the last part of the motion. A
+# second release from another angle must give the same coefficients.
 
 # %%
-steps = rco.improve(model, data)
 print(steps)
 better = steps.refinement
 print(rco.confirm(better, [data, released(30, seed=2)]))

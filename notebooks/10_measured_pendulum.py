@@ -63,21 +63,21 @@ shown = compared.plot("decay")
 #
 # Several effects bend the torque at large angles: gravity (the sine of the angle), a cubic spring, a
 # clearance. `diagnose` fits them to the first part of the decay, chooses on the next part, where the swing is
-# smaller, and tests on the last part.
+# smaller, and tests on the last part. `improve` makes the same diagnosis, and then adds the effects one by
+# one.
 
 # %%
-found = rco.diagnose(model, large)
-print(found)
+steps = rco.improve(model, large)
+print(steps.diagnosis)
 
 # %% [markdown]
 # It names gravity. The residual is not noise: with 917 samples and hardly any sensor noise, the tests find an
 # error of less than 0.1 % of the motion. That is too small to matter here, and the text says so. Only
 # ratios are known: in a free decay, all torques and the inertia may be scaled alike.
 #
-# `improve` comes to the same effect.
+# The steps show the error on the last part, to which no coefficient was fitted.
 
 # %%
-steps = rco.improve(model, large)
 print(steps)
 
 # %% [markdown]
