@@ -118,13 +118,13 @@ LIBRARY = [rco.Effect(kind, "u") for kind in KINDS] + [rco.Effect("damping", "q"
     ],
 )
 def test_what_is_missing_in_the_loop_is_named(train, test, known, kind, true):
-    found = rco.diagnose(SERVO, train, candidates=LIBRARY, controller=known)
+    better = rco.improve(SERVO, train, validation=test, candidates=LIBRARY, controller=known)
+    found = better.diagnosis
     assert found.verdict in ("effect", "ambiguous")
     row = next(one for one in found.ranking if one.effect.kind == kind)
     assert row is found.ranking[0] or row.effect in found.ambiguous
     ((value,), (std,)) = (row.coefficients.values(), row.std.values())
     assert abs(value - true) < 3 * std
-    better = rco.improve(SERVO, train, validation=test, candidates=LIBRARY, controller=known)
     floor = rco.compare(SERVO, test, controller=TRUE).rmse[0]
     assert rco.compare(better.refinement, test).rmse[0] < 1.1 * floor
 

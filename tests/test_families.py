@@ -331,7 +331,8 @@ def test_every_estimate_that_carries_an_answer_is_printed(rng):
             x += dt / 20 * (force - 0.5 * x - 0.8 * np.tanh(x / 0.01))
     y = np.array(speed) - 13.2 + 0.01 * np.std(speed) * rng.standard_normal(w.size)
     data, laws = rco.Measurement(w, y, dt=dt), [rco.Effect("coulomb_friction", "v")]
-    for found in (rco.diagnose(model, data, candidates=laws), rco.improve(model, data, candidates=laws)):
+    ladder = rco.improve(model, data, candidates=laws)
+    for found in (ladder.diagnosis, ladder):
         said = " ".join(str(found).split())
         assert "offset of -13.2 at speed" in said or "offset at speed 0 -> -13." in said
 

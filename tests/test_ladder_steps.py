@@ -201,10 +201,11 @@ def test_friction_that_drives_is_no_name() -> None:
     speed = held_motion([[-2.0]], push[:, None], 0.05, [drive])[:, 0]
     data = rco.Measurement(push, speed + 0.01 * speed.std() * rng.standard_normal(800), dt=0.05, hold="zoh")
     model, friction = rco.dc_motor(gain=0.5, time_constant=0.5), rco.Effect("coulomb_friction", "shaft")
-    alone = rco.diagnose(model, data, candidates=[friction])
-    assert alone.verdict == "unexplained"
-    assert any("its value must be positive" in note for note in alone.notes)
-    assert friction not in rco.improve(model, data, candidates=[friction]).effects  # a table, if anything
+    ladder = rco.improve(model, data, candidates=[friction])
+    assert ladder.diagnosis is not None
+    assert ladder.diagnosis.verdict == "unexplained"
+    assert any("its value must be positive" in note for note in ladder.diagnosis.notes)
+    assert friction not in ladder.effects  # a table, if anything
 
 
 def cart(seed: int, n: int, drag: float = 0.25) -> rco.Measurement:
