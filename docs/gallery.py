@@ -17,7 +17,7 @@ import numpy as np
 import rcorefine as rco
 from rcorefine.effects.law import KINDS
 from rcorefine.exceptions import DivergenceError
-from rcorefine.exercises.plants import hidden_outputs, noisy, record_of
+from rcorefine.exercises.plants import record_of
 
 SAMPLES, NOISE, LOSS = 2000, 0.01, 0.25
 WITHOUT = {  # need what only you know: where that is told
@@ -53,13 +53,25 @@ def plant(sort):
     linear = model.linear
     place = {"input": linear.input_labels[0], "output": linear.output_labels[0]}.get(sort, place)
     blank = record_of(model, u[None, :], dt=dt)
-    plain = hidden_outputs(model, {}, blank)
-    states = rco.simulate(model, blank, "zero").states
+    run = rco.simulate(model, blank, "zero")
+    plain, states = run.outputs, run.states
     port = next(p for p in model.ports if p.name == ("T1-ambient" if sort == "first_order" else "link1"))
     d = port.position @ states + port.position_input @ blank.inputs
     v = port.velocity @ states + port.velocity_input @ blank.inputs
     signal = plain if sort == "output" else u
     return model, place, blank, plain, d, v, float(np.std(signal))
+
+
+def with_it(model, effect, found, blank, width=None):
+    """Outputs of the plant that has the effect, from rest."""
+    fixed = dict(zip(effect.coefficients, found, strict=True)) | ({"width": width} if width else {})
+    held = effect.replace(start={}, prior={}, fixed=fixed)
+    return rco.simulate(model, blank, "zero", effects=[held]).outputs
+
+
+def noisy(outputs, rng):
+    """Outputs with white noise."""
+    return outputs + NOISE * outputs.std(axis=1, keepdims=True) * rng.standard_normal(outputs.shape)
 
 
 def values(effect, size, sort):
@@ -95,12 +107,12 @@ def values(effect, size, sort):
 def sized(effect, sort):
     """Outputs where the model misses about a quarter of them, and the coefficients; None without."""
     model, _, blank, plain, _, v, _ = plant(sort)
-    size, widths = 0.137, {0: 1e-3 * float(np.std(v))} if effect.spec.jumps else None
+    size, width = 0.137, 1e-3 * float(np.std(v)) if effect.spec.jumps else None
     for _ in range(25):
         try:
             found = values(effect, size, sort)
-            outputs = hidden_outputs(model, {effect: found}, blank, widths)
-        except (DivergenceError, np.linalg.LinAlgError, rco.ModelError):
+            outputs = with_it(model, effect, found, blank, width)
+        except (DivergenceError, rco.ModelError):
             size /= 3.0
             continue
         missed = float(np.sqrt(np.mean((outputs - plain) ** 2)) / np.std(plain))
@@ -157,10 +169,10 @@ def draw(kind, sort, path):
     for factor, color in ((0.25, BLUE), (1.0, "k")):
         quiet = record_of(model, factor * blank.inputs, dt=blank.dt)
         try:
-            y = hidden_outputs(model, {effect: found}, quiet)
+            y = with_it(model, effect, found, quiet)
         except DivergenceError:
             continue
-        record = record_of(model, quiet.inputs, noisy(y, NOISE, rng), dt=blank.dt)
+        record = record_of(model, quiet.inputs, noisy(y, rng), dt=blank.dt)
         frd = record.frequency_response(segment_length=400).frd
         seen = (frd.omega > 0) & (frd.omega < 0.5 * np.pi / blank.dt)
         axes[1].loglog(frd.omega[seen], np.abs(frd.frdata[0, 0][seen]), ".", ms=3, color=color,
@@ -204,7 +216,7 @@ def diagnosed(kind, sort):
     """Sentences of a diagnosis that is offered it and the three most alike."""
     model, _, blank, _, _, _, _ = plant(sort)
     effect, _, outputs = shown(sort)[kind]
-    record = record_of(model, blank.inputs, noisy(outputs, NOISE, np.random.default_rng(2)), dt=blank.dt)
+    record = record_of(model, blank.inputs, noisy(outputs, np.random.default_rng(2)), dt=blank.dt)
     offered = [effect, *(shown(sort)[other][0] for other, _ in confused(kind, sort))]
     found = rco.diagnose(model, record, candidates=offered)
     said = [s for s in found.sentences() if not s.startswith("LOOK")][:2]

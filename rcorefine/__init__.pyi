@@ -4,6 +4,7 @@ from . import examples, exercises
 from .comparison import Comparison, black_box, compare
 from .data.frequency_response import FrequencyResponse
 from .data.measurement import Measurement
+from .data.reading import read_record
 from .diagnosis import Diagnosis, diagnose
 from .diagnosis.check import check
 from .diagnosis.check_rows import Check, CheckRow
@@ -44,6 +45,7 @@ from .models.modal_files import modal_model
 from .models.parameters import NominalParameter
 from .models.physical_model import PhysicalModel
 from .models.ports import Port
+from .models.reading import read_model
 from .refinement import EstimatedParameter, Refinement, refine
 from .streaming import RCORefiner
 from .streaming.monitor import Alarm, Monitor
@@ -104,6 +106,8 @@ __all__ = [
     "physical",
     "ports",
     "quarter_car",
+    "read_model",
+    "read_record",
     "refine",
     "series_rlc",
     "simulate",

@@ -111,6 +111,19 @@ class Result(Data):
     def _repr_html_(self) -> str:
         return str(views().as_html(self))
 
+    def answer(self) -> tuple[list[str], bool]:
+        """Return the answer in a few sentences, and whether all is well.
+
+        Returns
+        -------
+        sentences : list of str
+            The answer, its reason, and what to do; empty for a result that answers no question.
+        fine : bool
+            False where something was found, or an estimate did not converge: the exit code of the terminal.
+        """
+        sentences, fine = views().content(self).answer()
+        return list(sentences), bool(fine)
+
 
 class Reported(Result):
     """A result that writes a report."""

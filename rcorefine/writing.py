@@ -1,6 +1,7 @@
 """Safe replacement of files, and safe NumPy archives.
 
 A file is written beside the old one and then takes its place: a reader finds either the old or the new one.
+Whatever fails while a file is read is an error of the file (`damaged`).
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
+import control as ct
 import numpy as np
 
-from .arguments import as_path
-from .exceptions import DataError
+from .arguments import as_flag, as_path, as_text
+from .exceptions import DataError, RCOError
 
 try:
     import fcntl
@@ -256,3 +258,87 @@ def array_of(content: bytes, name: str) -> np.ndarray[Any, Any]:
     if claimed:
         flat[:] = np.frombuffer(content, dtype, offset=stream.tell())
     return flat.reshape(shape, order="F" if fortran else "C")
+
+
+@contextlib.contextmanager
+def damaged(path: str | PathLike[str], said: str = "is damaged") -> Iterator[None]:
+    """Whatever fails while a file is read is the file's fault.
+
+    Parameters
+    ----------
+    path : str or path
+        File, for the message.
+    said : str
+        What is said of it.
+
+    Raises
+    ------
+    DataError
+        For any error that is not of this package, of python-control, or of the system about the file.
+    """
+    try:
+        yield
+    except (RCOError, ct.ControlArgument, ct.ControlDimension):
+        raise
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            raise  # no file there, or none that may be read
+        raise DataError(f"{os.fspath(path)!r} {said}: {type(error).__name__}: {error}") from error
+
+
+#: How a report begins that `views` wrote: such a file may be replaced by another one.
+REPORT = '<meta name="generator" content="rcorefine'
+
+
+def check_target(
+    path: str | PathLike[str],
+    *,
+    title: str | None = None,
+    code: str | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Absolute path of a report to be written; raises where that must not be.
+
+    Parameters
+    ----------
+    path : str or path
+        File to write.
+    title, code : str, optional
+        What it is to say, checked with it before the work begins.
+    overwrite : bool
+        Whether any file there may be replaced.
+
+    Returns
+    -------
+    Path
+        Absolute.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the folder does not exist.
+    FileExistsError
+        If a file is there that is no report of rcorefine.
+    IsADirectoryError
+        If `path` is a folder.
+    """
+    for name, text in (("title", title), ("code", code)):
+        if text is not None:
+            as_text(text, name)
+    as_flag(overwrite, "overwrite")
+    target = as_path(path)
+    with contextlib.suppress(RuntimeError):  # a tilde that is nobody's home is a name like any other
+        target = target.expanduser()
+    target = target.absolute()
+    if target.is_dir():
+        raise IsADirectoryError(f"{target} is a folder; give the name of a file in it, such as report.html")
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"the folder {target.parent} does not exist; make it first")
+    if target.is_file() and not overwrite:
+        with target.open("rb") as file:
+            head = file.read(2000)
+        if head and REPORT.encode() not in head:  # an empty file holds nothing to lose
+            raise FileExistsError(
+                f"{target} exists and is no report of rcorefine; choose another name or say overwrite=True"
+            )
+    return target

@@ -2,7 +2,6 @@
 
 from rcorefine.commands.cli import main
 from rcorefine.commands.example import example_csv
-from rcorefine.data.channels import read_record
 from rcorefine.diagnosis import residual_tests
 from rcorefine.diagnosis.case import Case
 from rcorefine.diagnosis.hypothesis import Hypothesis, Start
@@ -27,7 +26,6 @@ from rcorefine.inference.whitening import Whitener
 from rcorefine.jit import NUMBA
 from rcorefine.models.conversion import as_physical
 from rcorefine.models.operating_point import ordered_record
-from rcorefine.models.reading import read_model
 from rcorefine.progress import Progress
 from rcorefine.refinement.refine import base_fit
 from rcorefine.results import Data
@@ -73,8 +71,6 @@ __all__ = [
     "project",
     "promised",
     "rank_basis",
-    "read_model",
-    "read_record",
     "residual_tests",
     "stable_model",
     "to_discrete",

@@ -141,9 +141,11 @@ def files() -> dict[str, pathlib.Path]:
     scipy.io.savemat(at / "a.mat", {"u": u, "y": y})
     np.savez(at / "a.npz", u=u, y=y)
     (at / "frf.csv").write_text("f [Hz],H,phase [deg]\n" + "".join(f"{k + 1},1,{-k}\n" for k in range(20)))
+    (at / "model.toml").write_text("[series_rlc]\nR = 250.0\nL = 0.055\nC = 23.5e-6\n")
     watched().save(at / "monitor.npz")
     taught().save(at / "refiner.npz")
-    return {name: at / name for name in ("a.csv", "frf.csv", "a.mat", "a.npz", "monitor.npz", "refiner.npz")}
+    names = ("a.csv", "frf.csv", "a.mat", "a.npz", "model.toml", "monitor.npz", "refiner.npz")
+    return {name: at / name for name in names}
 
 
 # ------------------------------------------------------------------ what an argument may be
@@ -609,6 +611,24 @@ CALLS: dict[str, Call] = {
         M=[2.0, 1.0],
         K=[[3.0, -1.0], [-1.0, 1.0]],
     ),
+    "read_model": Call(
+        lambda: rco.read_model,
+        lambda: {"path": files()["model.toml"]},
+        {"path": is_path},
+        work="rcorefine.models.reading._from_toml",
+    ),
+    "read_record": Call(
+        lambda: rco.read_record,
+        lambda: {"path": files()["a.csv"], "inputs": "u", "outputs": "y", "dt": DT},
+        {
+            "path": is_path,
+            "model": is_transfer_function,
+            **dict.fromkeys(("inputs", "outputs"), is_texts),
+            **dict.fromkeys(("time", "hold", "decimal"), is_text),
+            "dt": is_positive,
+        },
+        work="rcorefine.data.readers.read_csv",
+    ),
     "modal_model": Call(
         lambda: rco.modal_model,
         lambda: {"path": files()["a.npz"], "inputs": "1:3"},
@@ -833,6 +853,7 @@ CALLS: dict[str, Call] = {
             "model": is_transfer_function,
             "data": is_nothing,
             "x0": is_state,
+            "effects": is_nothing,
             "controller": is_transfer_function,
         },
     ),
@@ -1154,10 +1175,12 @@ RESULTS: dict[str, Callable[[], Any]] = {
     "NominalParameter": lambda: model().parameters[0],
     "Port": lambda: model().ports[0],
 }
+_ANSWERING = [name for name in RESULTS if hasattr(getattr(rco, name), "answer")]
 CALLS |= {
     f"{name}.{what}": Call(_method(owner, what), dict)
     for name, owner in RESULTS.items()
-    for what in ("to_dict", "to_dataframe")
+    for what in ("to_dict", "to_dataframe", "answer")
+    if what != "answer" or name in _ANSWERING
 }
 
 

@@ -133,13 +133,11 @@ def test_declared_units_are_certain_and_are_converted_in_one_line():
 
 
 def test_the_header_of_a_file_tells_its_unit(tmp_path):
-    from inner import read_record
-
     w, y = spun()
     rows = [f"{k * DT:.2f},{a:.6g},{b:.6g}" for k, (a, b) in enumerate(zip(w, y, strict=True))]
     (tmp_path / "r.csv").write_text("\n".join(["time [s],u [N m],speed [rpm]", *rows]))
     model = rco.physical(ROTOR, units={"speed": "rad/s", "u": "N m"})
-    data = read_record(tmp_path / "r.csv", model)
+    data = rco.read_record(tmp_path / "r.csv", model)
     assert (data.output_units, data.input_units) == (("rpm",), ("N m",))
 
 

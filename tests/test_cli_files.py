@@ -13,7 +13,7 @@ import control as ct
 import numpy as np
 import pytest
 import scipy.io
-from inner import example_csv, main, read_model, read_record
+from inner import example_csv, main
 
 import rcorefine as rco
 from rcorefine.commands.analysis import wanted_candidates
@@ -417,7 +417,7 @@ def test_models_of_every_kind_are_the_same_model(tmp_path):
         tmp_path / "m.mat", arrays | {"D": 0.0, "inputs": "force", "outputs": np.array(["q1"], dtype=object)}
     )
     for suffix in ("toml", "npz", "mat"):
-        system = read_model(tmp_path / f"m.{suffix}")
+        system = rco.read_model(tmp_path / f"m.{suffix}")
         same(system, reference)
         assert system.input_labels == ["force"]
         assert system.output_labels == ["q1"]
@@ -427,7 +427,7 @@ def test_models_of_every_kind_are_the_same_model(tmp_path):
 
 def test_discrete_model(tmp_path):
     np.savez(tmp_path / "d.npz", A=[[0.5]], B=[[1.0, 2.0]], C=[[1.0], [3.0]], D=np.ones((2, 2)), dt=0.1)
-    system = read_model(tmp_path / "d.npz")
+    system = rco.read_model(tmp_path / "d.npz")
     assert (system.dt, system.ninputs, system.noutputs) == (0.1, 2, 2)
 
 
@@ -459,27 +459,27 @@ def test_wrong_model_files_name_file_and_key(tmp_path, text, message):
     path = tmp_path / "wrong.toml"
     path.write_text(text)
     with pytest.raises(rco.ModelError, match="wrong.toml") as caught:
-        read_model(path)
+        rco.read_model(path)
     assert message in str(caught.value)
 
 
 def test_wrong_array_files(tmp_path):
     np.savez(tmp_path / "a.npz", A=np.eye(2), B=np.ones((3, 1)), C=np.ones((1, 2)))
     with pytest.raises(rco.ModelError, match="B is 3 x 1"):
-        read_model(tmp_path / "a.npz")
+        rco.read_model(tmp_path / "a.npz")
     np.save(tmp_path / "b.npy", np.eye(2))
     (tmp_path / "b.npy").rename(tmp_path / "b.npz")
     with pytest.raises(rco.DataError, match="one array without a name"):
-        read_model(tmp_path / "b.npz")
+        rco.read_model(tmp_path / "b.npz")
     (tmp_path / "c.npz").write_bytes(b"not a zip")
     with pytest.raises(rco.DataError, match="savez"):
-        read_model(tmp_path / "c.npz")
+        rco.read_model(tmp_path / "c.npz")
     np.savez(tmp_path / "e.npz", A=np.array([{}], dtype=object))
     with pytest.raises(rco.DataError, match="savez"):
-        read_model(tmp_path / "e.npz")
+        rco.read_model(tmp_path / "e.npz")
     np.savez(tmp_path / "f.npz", A=np.eye(1), B=np.eye(1), C=np.eye(1), dt=[1.0, 2.0])
     with pytest.raises(rco.ModelError, match="dt must be one number"):
-        read_model(tmp_path / "f.npz")
+        rco.read_model(tmp_path / "f.npz")
 
 
 def test_records_from_npz(tmp_path):
@@ -499,7 +499,7 @@ def test_builder_values_of_each_shape(tmp_path):
         "[mass_spring_damper]\nm = [1.0, 2.0]\nc = [0.1, 0.1]\nk = [5.0, 6.0]\nforce = [[1.0], [-1.0]]\n"
         'sensors = [["velocity", 1], ["displacement", "link2"]]\n'
     )
-    model = read_model(path)
+    model = rco.read_model(path)
     expected = rco.mass_spring_damper(
         [1.0, 2.0], [0.1, 0.1], [5.0, 6.0], sensors=[("velocity", 1), ("displacement", "link2")],
         force=np.array([[1.0], [-1.0]]),
@@ -508,7 +508,7 @@ def test_builder_values_of_each_shape(tmp_path):
     path.write_text(
         '[thermal_network]\ncapacities = [1.0, 2.0]\nresistances = {"1-2" = 0.5, "2 - 0" = 2.0}\n'
     )
-    same(read_model(path).system, rco.thermal_network([1.0, 2.0], {(1, 2): 0.5, (2, 0): 2.0}).system)
+    same(rco.read_model(path).system, rco.thermal_network([1.0, 2.0], {(1, 2): 0.5, (2, 0): 2.0}).system)
     path.write_text(
         "[mechanical]\nM = [[2.0, 0.0], [0.0, 1.0]]\nK = [[3.0, -1.0], [-1.0, 1.0]]\n"
         "damping_ratio = [0.02, 0.03]\nlinks = { foot = [1, 0], both = [1.0, 1.0] }\n"
@@ -517,8 +517,8 @@ def test_builder_values_of_each_shape(tmp_path):
         [[2.0, 0.0], [0.0, 1.0]], None, [[3.0, -1.0], [-1.0, 1.0]], damping_ratio=[0.02, 0.03],
         links={"foot": (1, 0), "both": np.array([1.0, 1.0])},
     )  # fmt: skip
-    assert [p.name for p in read_model(path).ports] == [p.name for p in expected.ports]
-    same(read_model(path).system, expected.system)
+    assert [p.name for p in rco.read_model(path).ports] == [p.name for p in expected.ports]
+    same(rco.read_model(path).system, expected.system)
 
 
 def test_candidates_by_kind_place_or_both():
@@ -561,8 +561,8 @@ def test_examples_work_when_fed_back(call, tmp_path, name):
     assert "exists" in err
     exact = tmp_path / "exact.csv"
     exact.write_text(example_csv(name, exact=True))
-    system = read_model(model)
-    data = read_record(exact, system)
+    system = rco.read_model(model)
+    data = rco.read_record(exact, system)
     # 2 % of noise leaves a fit of 98 %
     assert np.abs(rco.compare(system, data).fit - 98).max() < 0.2
 

@@ -9,7 +9,9 @@ import re
 import control as ct
 import numpy as np
 import pytest
-from inner import main, read_model
+from inner import main
+
+import rcorefine as rco
 
 MODEL = """\
 [mass_spring_damper]
@@ -29,7 +31,7 @@ def files(tmp_path_factory):
     (at / "plant.toml").write_text(MODEL.format(k1=180.0))
     rng = np.random.default_rng(0)
     force = rng.standard_normal(1500)
-    plant = read_model(at / "plant.toml").system
+    plant = rco.read_model(at / "plant.toml").system
     y = ct.forced_response(plant.sample(0.02), inputs=force).outputs
     y = y + 0.01 * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
     table = np.column_stack([0.02 * np.arange(1500), force, *y])
@@ -61,7 +63,7 @@ def test_bode_of_two_models_and_a_record(files, tmp_path, capsys):
     rows = rows_of(table)
     assert {row["curve"] for row in rows} == {"model", "plant", "measured"}
     # beside a record a model is drawn sampled with its hold: python-control's zero-order hold
-    sampled = read_model(files / "plant.toml").system.sample(0.02)
+    sampled = rco.read_model(files / "plant.toml").system.sample(0.02)
     drawn = [row for row in rows if row["curve"] == "plant"]
     for row in drawn[:: len(drawn) // 20]:
         i = sampled.output_labels.index(row["output"])
@@ -78,7 +80,7 @@ def test_bode_without_a_record_is_continuous(files, tmp_path, capsys):
     code, _ = run(capsys, "bode", files / "model.toml", "--csv", table, "--decimal", ",")
     assert code == 0
     rows = rows_of(table, ";")
-    system = read_model(files / "model.toml").system
+    system = rco.read_model(files / "model.toml").system
     row = rows[len(rows) // 3]
     number = {key: float(row[key].replace(",", ".")) for key in ("omega", "magnitude")}
     i = system.output_labels.index(row["output"])

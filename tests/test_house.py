@@ -35,35 +35,23 @@ ORDER = (
 
 #: Rooms that stand on the public names, and the inner names that each still takes. They may only get fewer.
 OUTER = {
-    "exercises": {"data.formats", "effects.domains", "engine.engine", "engine.structure", "systems.linear"},
-    "export": {
-        "effects.formula", "engine.controlled", "engine.nonlinear", "engine.structure",
-        "models.operating_point", "systems.linear",
-    },
-    "fleet": {"data.channels", "effects.law", "models.conversion", "models.reading", "systems.linear"},
-    "explorer": {
-        "comparison.failure_map.search", "comparison.failure_map.state", "data.records", "diagnosis.case",
-        "effects.effect", "engine.amplitude_response", "engine.controlled", "engine.structure",
-        "inference.assembly", "inference.outcome", "inference.problem", "inference.starts",
-        "models.conversion", "models.operating_point", "refinement.refine", "systems.linear",
-        "systems.response", "views.code", "views.failure_map", "views.tables",
-    },
-    "commands": {
-        "comparison.result", "data.channels", "exercises.plants", "models.reading", "views.page",
-        "views.content",
-    },
+    "exercises": set(),
+    "export": set(),
+    "fleet": set(),
+    "explorer": {"refinement.by_hand"},
+    "commands": set(),
 }  # fmt: skip
 #: Tokens of code (no docstring, comment, line end) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 7740, "arguments": 2156, "commands": 8192, "comparison": 28171, "data": 25265, "diagnosis": 73421,
-    "effects": 30700, "engine": 49982, "examples": 2261, "exercises": 4993, "explorer": 11435,
-    "export": 6216, "fleet": 10022, "inference": 32653, "localization": 11722, "models": 42529,
-    "refinement": 1787, "streaming": 73542, "systems": 5887, "views": 39706,
+    ".": 8047, "arguments": 2156, "commands": 8156, "comparison": 28200, "data": 25274, "diagnosis": 73352,
+    "effects": 30700, "engine": 50303, "examples": 2261, "exercises": 4787, "explorer": 9018,
+    "export": 6237, "fleet": 9922, "inference": 32697, "localization": 11722, "models": 42602,
+    "refinement": 4329, "streaming": 73532, "systems": 5887, "views": 39614,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.
-COMPLEX, WIDE, TINY = 84, 10, 83
+COMPLEX, WIDE, TINY = 80, 10, 78
 
 
 @functools.cache

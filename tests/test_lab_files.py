@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import control as ct
 import numpy as np
 import pytest
-from inner import read_record
 
 import rcorefine as rco
 from rcorefine import DataError, Measurement, MissingExtraError
@@ -290,11 +289,27 @@ def test_ros_bag_by_recipe(tmp_path, monkeypatch):
     np.testing.assert_allclose(data.inputs[0, at], np.floor(data.timepts[at] * 20 + 1e-6) % 7, atol=1e-6)
 
 
+def test_a_record_is_read_by_names_or_for_a_model(tmp_path):
+    """The suffix picks the reader; a model tells columns and units, and another order of its own."""
+    t = 0.1 * np.arange(5)
+    (tmp_path / "r.csv").write_text("time;F [N];x\n" + "".join(f"{k:.1f};{k};{2 * k}\n" for k in t))
+    np.savez(tmp_path / "r.npz", time=t, F=t, x=2 * t)
+    for name in ("r.csv", "r.npz"):
+        data = rco.read_record(tmp_path / name, inputs="F", outputs=["x"])
+        assert (data.dt, data.input_labels, data.output_labels) == (pytest.approx(0.1), ("F",), ("x",))
+        np.testing.assert_allclose(data.outputs[0], 2 * t)
+    model = rco.mass_spring_damper([1.0], [0.4], [100.0], inputs="push", outputs="x", sensors="displacement")
+    data = rco.read_record(str(tmp_path / "r.csv"), model, inputs=["F"])
+    assert (data.input_labels, data.output_units) == (("push",), ("m",))
+    with pytest.raises(ct.ControlArgument, match="outputs must name columns of r.csv"):
+        rco.read_record(tmp_path / "r.csv", inputs="F")
+
+
 @pytest.mark.parametrize("name", ["run.tdms", "run.bag", "run.mcap"])
 def test_other_files_are_sent_to_the_recipes(name):
     model = ct.ss([[-1.0]], [[1.0]], [[1.0]], 0)
     with pytest.raises(DataError, match="a record is a .csv, .* how-to page"):
-        read_record(Path(name), model)
+        rco.read_record(Path(name), model)
 
 
 # ---------------------------------------------------------------- times of clocks and calendars

@@ -3,7 +3,6 @@
 import control as ct
 import numpy as np
 import pytest
-from inner import read_model
 
 import rcorefine as rco
 
@@ -345,12 +344,12 @@ class TestDeclared:
         lines += ["[state_space.links]", "shaft = {th1 = 0.2, th2 = -1.0}"]
         path = tmp_path / "drive.toml"
         path.write_text("\n".join(lines))
-        model = read_model(path)
+        model = rco.read_model(path)
         assert model.port("shaft").position_unit == "rad"
         assert {q.name: q.value for q in model.parameters}["k[shaft]"] == pytest.approx(240)
         path.write_text("\n".join(lines).replace("th2 = -1.0}", "th9 = -1.0}"))
         with pytest.raises(rco.ModelError, match="drive.toml.*link 'shaft' names 'th9'"):
-            read_model(path)
+            rco.read_model(path)
 
     def test_declared_links_are_candidates(self):
         model = rco.physical(gear(), links={"shaft": {"th1": 1 / 5, "th2": -1}})

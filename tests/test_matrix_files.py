@@ -3,7 +3,7 @@
 import control as ct
 import numpy as np
 import pytest
-from inner import main, read_model
+from inner import main
 from scipy.io import mmwrite
 from scipy.sparse import coo_matrix
 
@@ -46,7 +46,7 @@ def as_blanks(path):
 def test_a_matrix_in_a_file_of_its_own(tmp_path, name, write, absolute):
     (tmp_path / "sub").mkdir()
     write(tmp_path / name)
-    model = read_model(written(tmp_path, repr(str(tmp_path / name) if absolute else name)))
+    model = rco.read_model(written(tmp_path, repr(str(tmp_path / name) if absolute else name)))
     assert isinstance(model, ct.StateSpace)
     np.testing.assert_array_equal(model.A, A)
 
@@ -55,14 +55,14 @@ def test_all_matrices_in_files_and_those_of_a_structure(tmp_path):
     for key, value in zip("ABCD", (A, B.ravel(), C, [[0.5]]), strict=True):
         np.save(tmp_path / f"{key}.npy", value)
     (tmp_path / "all.toml").write_text("[state_space]\n" + "".join(f'{k} = "{k}.npy"\n' for k in "ABCD"))
-    model = read_model(tmp_path / "all.toml")
+    model = rco.read_model(tmp_path / "all.toml")
     np.testing.assert_array_equal(model.B, B)
     np.testing.assert_array_equal(model.D, [[0.5]])
     K = coo_matrix([[3.0, -1.0], [-1.0, 1.0]])
     mmwrite(tmp_path / "K.mtx", K, symmetry="symmetric")
     (tmp_path / "s.toml").write_text('[mechanical]\nM = [2.0, 1.0]\nK = "K.mtx"\ndamping_ratio = 0.02\n')
     same = rco.mechanical([2.0, 1.0], K=K.toarray(), damping_ratio=0.02)
-    np.testing.assert_allclose(read_model(tmp_path / "s.toml").linear.A, same.linear.A)
+    np.testing.assert_allclose(rco.read_model(tmp_path / "s.toml").linear.A, same.linear.A)
 
 
 HUGE = "%%MatrixMarket matrix coordinate real general\n2 2 4000000000\n1 1 1.0\n"
@@ -92,7 +92,7 @@ def test_a_file_that_does_not_fit_is_named(tmp_path, name, content, message):
     if content is not None:
         (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(rco.ModelError, match=r"model\.toml, \[state_space\]") as caught:
-        read_model(written(tmp_path, repr(name)))
+        rco.read_model(written(tmp_path, repr(name)))
     assert message in str(caught.value)
     if "must" not in message and " x " not in message and "states" not in message:
         assert name in str(caught.value)
@@ -101,7 +101,7 @@ def test_a_file_that_does_not_fit_is_named(tmp_path, name, content, message):
 def test_objects_are_never_opened(tmp_path):
     np.save(tmp_path / "A.npy", np.array([[{}]]), allow_pickle=True)
     with pytest.raises(rco.ModelError, match="Python objects"):
-        read_model(written(tmp_path, '"A.npy"'))
+        rco.read_model(written(tmp_path, '"A.npy"'))
 
 
 POINT = "operating_point = {inputs = {u = 3.0}, states = [9.0, 0.0]}\n"
@@ -111,7 +111,7 @@ def test_a_file_declares_an_operating_point_and_compare_takes_it(tmp_path, capsy
     as_csv(tmp_path / "A.csv")
     more = POINT + 'units = {x = "m", u = "N"}\n'
     path = written(tmp_path, more=more)
-    model = read_model(path)
+    model = rco.read_model(path)
     assert (model.state_units[0], model.input_units) == ("m", ("N",))
     np.testing.assert_array_equal(model.operating_point.outputs, [9.0])
     t = 0.05 * np.arange(400)
@@ -136,5 +136,5 @@ def test_a_file_declares_an_operating_point_and_compare_takes_it(tmp_path, capsy
 def test_a_wrong_operating_point_is_named(tmp_path, point, message):
     as_csv(tmp_path / "A.csv")
     with pytest.raises(rco.ModelError, match=r"model\.toml") as caught:
-        read_model(written(tmp_path, more=f"operating_point = {point}\n"))
+        rco.read_model(written(tmp_path, more=f"operating_point = {point}\n"))
     assert message in str(caught.value)

@@ -3,7 +3,6 @@
 import control as ct
 import numpy as np
 import pytest
-from inner import read_model
 from scipy.io import mmwrite
 from scipy.linalg import eigh
 from scipy.sparse import coo_matrix, csr_matrix, diags, kron
@@ -160,10 +159,10 @@ def test_sparse_matrices_without_a_cut_and_from_files(tmp_path):
     text = '[mechanical]\nM = "M.mtx"\nK = "K.mtx"\ndamping_ratio = 0.01\nsensors = [["velocity", 3]]\n'
     (tmp_path / "plate.toml").write_text(text + "n_modes = 4\n")
     expected = rco.mechanical(M, K=K, damping_ratio=0.01, n_modes=4, sensors=("velocity", 3))
-    np.testing.assert_allclose(read_model(tmp_path / "plate.toml").linear.A, expected.linear.A, rtol=1e-9)
+    np.testing.assert_allclose(rco.read_model(tmp_path / "plate.toml").linear.A, expected.linear.A, rtol=1e-9)
     (tmp_path / "plate.toml").write_text(text)
     with pytest.raises(rco.ModelError, match="1600 states"):
-        read_model(tmp_path / "plate.toml")
+        rco.read_model(tmp_path / "plate.toml")
 
 
 @pytest.mark.parametrize(

@@ -281,6 +281,15 @@ def test_a_condition_that_cannot_be_judged_is_not_kept():
     assert "cannot be judged" in breach.sentence
 
 
+def test_a_folder_has_the_records_that_are_read(tmp_path):
+    """The suffixes that a survey looks for are those that `read_record` takes."""
+    from rcorefine.fleet.pieces import _RECORDS
+
+    with pytest.raises(rco.DataError) as refused:
+        rco.read_record(tmp_path / "run.tdms", inputs="u", outputs="y")
+    assert f"a record is a {', '.join(_RECORDS[:-1])} or {_RECORDS[-1]} file" in str(refused.value)
+
+
 WRONG = (
     {},
     {"condition": []},

@@ -25,6 +25,14 @@ def plants() -> list[rco.PhysicalModel]:
     ]
 
 
+def from_files(folder: Path) -> rco.Simulation:
+    """A model and a record out of files, and the record of a plant that rubs."""
+    model = rco.read_model(folder / "model.toml")
+    data: rco.Measurement = rco.read_record(folder / "record.csv", model, time="t")
+    friction = rco.Effect("coulomb_friction", "link1", fixed={"force": 0.5})
+    return rco.simulate(model, data, "zero", effects=[friction])
+
+
 def tested(path: Path) -> ct.StateSpace:
     """Modes of a hammer test."""
     return rco.modal_model(path, "7:3", sensors="acceleration")

@@ -17,10 +17,6 @@ import control as ct
 
 import rcorefine as rco
 
-from ..comparison.result import best_of, failures_of
-from ..data.channels import SUFFIXES, read_record
-from ..models.reading import read_model
-from ..views.content import content
 from .output import check_targets, finish
 
 
@@ -54,10 +50,10 @@ def analyze(
     int
         1 where something was found, otherwise 0.
     """
-    return compare_models([model], data, arguments=arguments, validation=validation, split=split)
+    return analyze_models([model], data, arguments=arguments, validation=validation, split=split)
 
 
-def compare_models(
+def analyze_models(
     models: Sequence[Path],
     data: Path,
     /,
@@ -70,10 +66,7 @@ def compare_models(
 
     Parameters
     ----------
-    models : sequence of Path
-        Model: .toml (matrices, or a builder's parameters; see rcorefine example), or .npz/.mat with A, B,
-        C, D.
-    data, arguments, validation, split
+    models, data, arguments, validation, split
         As in `analyze`.
 
     Returns
@@ -82,7 +75,7 @@ def compare_models(
         1 where something was found, otherwise 0.
     """
     check_targets(arguments)
-    known = [read_model(path) for path in models]
+    known = [rco.read_model(path) for path in models]
     record, held_out = _records(data, known[0], arguments, validation, split)
     shown = record if held_out is None else held_out
     function, given = arguments.public, taken(arguments.public, arguments, known[0])
@@ -91,18 +84,20 @@ def compare_models(
     if function is rco.compare:
         record = shown
     result = function(known[0] if len(known) == 1 else known, record, **given)
-    sentences, fine = answer(result)
+    # what is printed and drawn, where that is not the result's own
+    sentences, fine = result.answer()
+    text, draw = str(result), getattr(result, "plot", None)
     if function is rco.check:
         title = [f"{row.status.upper()}: {row.sentence}" for row in result.looks[:3]] or ["No problem found"]
         lines = [line for sentence in title for line in textwrap.wrap(sentence, 80)]
-        draw: Any = partial(record.plot, title="\n".join(lines))
-    else:
-        draw = partial(result.bode_plot, shown) if function is rco.refine else result.plot
-    text = str(result)
-    if function is rco.compare:
-        text += f"\n{failures_of(result, best_of(result))}"
+        draw = partial(record.plot, title="\n".join(lines))
+    elif function is rco.refine:
+        draw = partial(result.bode_plot, shown)
     elif function is rco.improve:
         text += f"\n{result.refinement}"
+    elif function is rco.compare:  # one model fails where another may not
+        failures = result.failures[result.best] if result.several else result.failures
+        text, fine = f"{text}\n{failures}", not failures
     return finish(arguments, not fine, sentences, result, text=text, data=record, draw=draw, beside=shown)
 
 
@@ -118,20 +113,6 @@ def _records(
     if split is not None:
         return record.split(split)
     return record, None if validation is None else read(validation, model, arguments)
-
-
-def answer(result: Any) -> tuple[list[str], bool]:
-    """Return the answer of a result in sentences, and whether all is well."""
-    kind = type(result)
-    if kind is rco.Check:
-        return [row.sentence for row in result.looks], not result.stops
-    if kind is rco.DamageMap:
-        changes = [f"{row.kind} at {row.place}: {row.percent:.3g} %" for row in result.named]
-        return [*changes, result.message], not result.named
-    sentences, fine = content(result).answer()
-    if kind is rco.Comparison:  # one model fails where another may not
-        fine = not failures_of(result, best_of(result))
-    return list(sentences), fine
 
 
 def explore(
@@ -166,7 +147,7 @@ def explore(
     int
         0.
     """
-    first = read_model(model)
+    first = rco.read_model(model)
     page = rco.explore(first, read(data, first, arguments), horizon=horizon)
     try:  # from the first thread on: one that serves would outlive this one
         address = page.show(port, browser=browser)
@@ -182,16 +163,22 @@ def explore(
 
 def read(path: Path, model: Any, arguments: Namespace) -> rco.Measurement:
     """Read the record for a model; errors name the option that would help."""
-    given = taken(read_record, arguments)
+    given = reading(arguments)
     try:
-        return read_record(path, model, **given)
+        return rco.read_record(path, model, **given)
     except rco.DataError as error:
         hint = ""
         if given["time"] is given["dt"] is None and re.search("no (column|variable) 'time'", str(error)):
             hint = " (name the column of times with --time, or give the sampling time with --dt)"
-        elif path.suffix.lower() in SUFFIXES and None in (given["inputs"], given["outputs"]):
+        elif "a record is a " not in str(error) and None in (given["inputs"], given["outputs"]):
             hint = " (name the columns with --input and --output, in the order of the model's signals)"
         raise rco.DataError(f"{error}{hint}") from error
+
+
+def reading(arguments: Namespace) -> dict[str, Any]:
+    """Return what the command line gives for the reader of records."""
+    given = taken(rco.read_record, arguments)
+    return {name: value for name, value in given.items() if name != "model"}  # a model, not its file
 
 
 def taken(function: Any, arguments: Namespace, model: Any = None) -> dict[str, Any]:

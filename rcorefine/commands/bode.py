@@ -15,8 +15,6 @@ import numpy as np
 
 import rcorefine as rco
 
-from ..data.channels import SUFFIXES
-from ..models.reading import read_model
 from ..writing import replacing
 from .analysis import read
 from .output import check_targets, finish
@@ -54,7 +52,7 @@ def bode(files: Sequence[Path], /, *, arguments: Namespace, csv: Path | None = N
     paths = files[:-1] if _is_record(files[-1]) else files
     if not paths:
         raise rco.ModelError(f"{files[0]} is a record; give at least one model before it")
-    models = [read_model(path) for path in paths]
+    models = [rco.read_model(path) for path in paths]
     if len(paths) < len(files):
         data = read(files[-1], models[0], arguments)
     shown, responses = _responses([path.stem for path in paths], models, data)
@@ -67,11 +65,11 @@ def bode(files: Sequence[Path], /, *, arguments: Namespace, csv: Path | None = N
 
 
 def _is_record(path: Path) -> bool:
-    """By its suffix; .mat and .npz hold a model where they hold an A."""
-    if path.suffix.lower() not in (".mat", ".npz"):
-        return path.suffix.lower() in SUFFIXES
+    """A .toml file is a model; .mat and .npz hold one where they hold an A."""
+    if path.suffix.lower() == ".toml":
+        return False
     try:
-        read_model(path)
+        rco.read_model(path)
     except rco.ModelError:
         return True
     return False

@@ -107,7 +107,7 @@ _EXIT_CODES = (
 )
 _FILES = "mass_spring_damper.toml mass_spring_damper.csv"
 _ANALYZE = "rcorefine.commands.analysis:analyze"
-_READ = ("the record", "rcorefine.data.channels:read_record")
+_READ = ("the record", "rcorefine:read_record")
 _OUTPUT = ("output", "rcorefine.commands.output:Output")
 
 
@@ -141,7 +141,7 @@ _COMMANDS = {
     ),
     "compare": _Command(
         "how well one or several models explain a record, and where they fail",
-        "rcorefine.commands.analysis:compare_models",
+        "rcorefine.commands.analysis:analyze_models",
         "rcorefine:compare",
         keys=" (3 sentences), record (name, samples, dt, hold, inputs, outputs, sha256_inputs, "
         "sha256_outputs), models (name; outputs: name, unit, fit, rmse, bias; failures: role, dimension, "

@@ -21,9 +21,9 @@ from rcorefine import (
     diagnose,
     improve,
     mass_spring_damper,
+    simulate,
 )
 
-from ..exercises.plants import hidden_outputs, noisy, record_of
 from ..jit import NUMBA
 from ..writing import replacing
 
@@ -75,9 +75,10 @@ def demo(*, output: Path = Path("rcorefine-demo"), seed: int = 1, quiet: bool = 
     model = mass_spring_damper(
         [1.0, 1.2], [0.4, 0.4, 0.4], [300.0, 250.0, 200.0], sensors=("velocity", 1), name="model"
     )
-    friction = Effect("coulomb_friction", "link2")
+    friction = Effect("coulomb_friction", "link2", fixed={"force": FRICTION, "width": _SHARP})
+    loss = Effect("stiffness", "link3", fixed={"stiffness": LOSS})
     candidates = [Effect(law, f"link{i}") for i in (1, 2, 3) for law in LAWS]
-    data = _record(model, {friction: FRICTION}, rng, "first test")
+    data = _record(model, [friction], rng, "first test")
     train, test = data.split(TRAINING)
     _title("A structure, its record, and a model in which an effect is missing")
     _say(
@@ -120,7 +121,7 @@ def demo(*, output: Path = Path("rcorefine-demo"), seed: int = 1, quiet: bool = 
         "A later record of the same structure: the friction is still there, and the spring at link3 has "
         f"lost {-LOSS:g} of its 200~N/m. The same model, one effect after the other:\n"
     )
-    later = _record(model, {friction: FRICTION, Effect("stiffness", "link3"): LOSS}, rng, "later test")
+    later = _record(model, [friction, loss], rng, "later test")
     improvement = improve(model, later, candidates=candidates, progress=progress)
     _write(str(improvement))
 
@@ -136,15 +137,22 @@ def demo(*, output: Path = Path("rcorefine-demo"), seed: int = 1, quiet: bool = 
     return 0
 
 
-def _record(
-    model: PhysicalModel, hidden: dict[Effect, float], rng: np.random.Generator, name: str
-) -> Measurement:
+def _record(model: PhysicalModel, hidden: list[Effect], rng: np.random.Generator, name: str) -> Measurement:
     """Return a noisy record of a model with the `hidden` effects."""
     force = 20 * np.convolve(rng.standard_normal(N_SAMPLES + 4), np.ones(5) / 5, "valid")
-    blank = record_of(model, force, dt=DT)
-    friction_first = {effect: [value] for effect, value in hidden.items()}
-    y = noisy(hidden_outputs(model, friction_first, blank, {0: _SHARP}), NOISE, rng)
-    return record_of(model, force, y, dt=DT, name=name)
+    blank = Measurement(force, np.zeros(N_SAMPLES), dt=DT)
+    y = simulate(model, blank, "zero", effects=hidden).outputs
+    y = y + NOISE * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+    return Measurement(
+        force,
+        y,
+        dt=DT,
+        input_labels=model.linear.input_labels,
+        output_labels=model.linear.output_labels,
+        input_units=model.input_units,
+        output_units=model.output_units,
+        name=name,
+    )
 
 
 def _draw(

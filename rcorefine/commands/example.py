@@ -9,10 +9,13 @@ import io
 import sys
 import textwrap
 from argparse import ArgumentTypeError
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+
+import rcorefine as rco
 
 from ..writing import replacing
 
@@ -29,7 +32,7 @@ class _Example:
     amplitude: float
     hold: int = 1
     mean: float = 0.0
-    width: float = 0.0
+    smooth: dict[str, float] = field(default_factory=dict)
 
 
 _EXAMPLES = {
@@ -46,7 +49,7 @@ sensors = ["velocity", 1]   # or "displacement"; several: [["velocity", 1], ...]
 # inputs = ["force"]        # names, which the columns of the record should have
 # outputs = ["v1"]
 """,
-        "coulomb_friction", "link2", (1.0,), 0.01, 10.0, width=1e-3,
+        "coulomb_friction", "link2", (1.0,), 0.01, 10.0, smooth={"width": 1e-3},
     ),
     "state_space": _Example(
         """\
@@ -100,7 +103,7 @@ J = 4e-5                    # [kg m^2]
 b = 1e-5                    # [N m s/rad]
 sensors = ["speed"]
 """,
-        "coulomb_friction", "shaft", (0.02,), 0.002, 6.0, hold=20, width=1e-2,
+        "coulomb_friction", "shaft", (0.02,), 0.002, 6.0, hold=20, smooth={"width": 1e-2},
     ),
     "two_tanks": _Example(
         """\
@@ -178,36 +181,27 @@ def example_csv(name: str, *, seed: int = 1, exact: bool = False) -> str:
     str
         CSV with a header line: time, inputs, outputs.
     """
-    import rcorefine as rco
-
-    from ..exercises.plants import hidden_outputs, noisy, record_of
-
     made = _EXAMPLES[name]
-    rng = np.random.default_rng(seed)
-    model = rco.physical(_model_of(made.toml))
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "model.toml"
+        path.write_text(made.toml, encoding="utf-8")
+        model = rco.physical(rco.read_model(path))
     linear = model.linear
+    # random steps at the inputs
+    rng = np.random.default_rng(seed)
     steps = rng.standard_normal((linear.n_inputs, -(-_SAMPLES // made.hold)))
     w = made.mean + made.amplitude * np.repeat(steps, made.hold, axis=1)[:, :_SAMPLES]
-    hidden = {} if exact else {rco.Effect(made.kind, made.place): made.values}
-    blank = record_of(model, w, dt=made.dt)
-    y = hidden_outputs(model, hidden, blank, {0: made.width} if made.width and hidden else None)
-    y = noisy(y, _NOISE, np.random.default_rng([seed, 1]))  # the same with and without the effect
+    # outputs with the hidden effect, and noise that is the same with and without it
+    effect = rco.Effect(made.kind, made.place)
+    hidden = effect.replace(fixed=dict(zip(effect.coefficients, made.values, strict=True)) | made.smooth)
+    blank = rco.Measurement(w, np.zeros((linear.n_outputs, _SAMPLES)), dt=made.dt)
+    y = rco.simulate(model, blank, "zero", effects=[] if exact else [hidden]).outputs
+    y = y + _NOISE * y.std(axis=1, keepdims=True) * np.random.default_rng([seed, 1]).standard_normal(y.shape)
     text = io.StringIO()
     header = ",".join(["time", *linear.input_labels, *linear.output_labels])
     rows = np.column_stack([blank.timepts, *w, *y])
     np.savetxt(text, rows, fmt="%.9g", delimiter=",", header=header, comments="")
     return text.getvalue()
-
-
-def _model_of(toml: str) -> object:
-    from tempfile import TemporaryDirectory
-
-    from ..models.reading import read_model
-
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "model.toml"
-        path.write_text(toml, encoding="utf-8")
-        return read_model(path)
 
 
 def example(

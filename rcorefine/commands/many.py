@@ -15,10 +15,8 @@ from typing import Any
 
 import rcorefine as rco
 
-from ..data.channels import read_record
 from ..exceptions import needed
-from ..models.reading import read_model
-from .analysis import taken, wanted_candidates
+from .analysis import reading, taken, wanted_candidates
 from .output import check_targets, finish
 
 
@@ -72,7 +70,7 @@ def survey(
     given = taken(rco.survey, arguments) | {"effects": compare}
     try:
         with _workers(scheduler, jobs) as executor:
-            given |= {"executor": executor, "options": options, "reading": taken(read_record, arguments)}
+            given |= {"executor": executor, "options": options, "reading": reading(arguments)}
             found, code = rco.survey(model, folder, **given), None
     except KeyboardInterrupt as stop:
         if not getattr(stop, "survey", None):
@@ -98,7 +96,7 @@ def _options(arguments: Namespace, model: Path, task: str) -> dict[str, Any]:
     options = taken(rco.localize_damage if task == "localize" else getattr(rco, task), arguments)
     options.pop("progress", None)
     files = sorted(model.iterdir()) if model.is_dir() else [model]
-    effects = wanted_candidates(read_model(files[0]), words) if words else None
+    effects = wanted_candidates(rco.read_model(files[0]), words) if words else None
     return options | ({"effects": effects or []} if task == "refine" else {"candidates": effects})
 
 

@@ -67,7 +67,9 @@ _TYPES: dict[str, dict[str, Any]] = {
     "float | Sequence[float]": {"action": "append", "metavar": "NUMBER"},
     "Path": {"type": Path, "metavar": "PATH"},
     "Sequence[Path]": {"type": Path, "nargs": "+"},
-    **dict.fromkeys(("Sequence[str]", "Sequence[Any]", "Sequence[Effect]", "str | Sequence[Any]"), _LIST),
+    **dict.fromkeys(
+        ("Sequence[str]", "Sequence[Effect]", "str | Sequence[str]", "str | Sequence[Any]"), _LIST
+    ),
 }
 
 
@@ -91,7 +93,8 @@ def parameters_of(function: Any) -> dict[str, tuple[str, str]]:
             other = re.match(r"As (?:in )?`(\w+)`", text.lstrip())
             if other:
                 beside = vars(inspect.getmodule(function))
-                found[name] = parameters_of(beside.get(other[1]) or getattr(rco, other[1]))[name]
+                theirs = parameters_of(beside.get(other[1]) or getattr(rco, other[1]))
+                found[name] = theirs.get(name) or theirs[name.removesuffix("s")]  # one, or several
     return found
 
 

@@ -20,8 +20,7 @@ import numpy as np
 import rcorefine as rco
 
 from ..arguments import printable
-from ..views.page import check_target
-from ..writing import replacing
+from ..writing import check_target, replacing
 
 #: Options of one command alone: the next one does not take them over. True: a value follows.
 _OWN = dict.fromkeys(

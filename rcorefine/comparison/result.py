@@ -141,6 +141,14 @@ class Comparison(Reported):
         return maps if self.several else maps[0]
 
     @property
+    def best(self) -> int:
+        """Position of the model that fits best, by the mean fit over the outputs."""
+        # a model without any fit comes last
+        fits = np.atleast_2d(self.fit)
+        means = np.where(np.isnan(fits).all(axis=1), -np.inf, np.nan_to_num(fits, nan=0.0).mean(axis=1))
+        return int(np.argmax(means))
+
+    @property
     def legend(self) -> str:
         """Meaning of the columns of the table."""
         return (
@@ -295,11 +303,3 @@ def failures_of(result: Comparison, index: int = 0) -> FailureMap:
     found = result.failures
     chosen: FailureMap = found[index] if result.several else found
     return chosen
-
-
-def best_of(result: Comparison) -> int:
-    """Return the index of the model that fits best, mean over the outputs."""
-    # mean fit over outputs; a model without any fit comes last
-    fits = np.atleast_2d(result.fit)
-    means = np.where(np.isnan(fits).all(axis=1), -np.inf, np.nan_to_num(fits, nan=0.0).mean(axis=1))
-    return int(np.argmax(means))

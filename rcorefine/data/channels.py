@@ -1,33 +1,19 @@
-"""Records for a model, also from files.
-
-Channels are matched by name, otherwise by position. The suffix of a file gives its kind.
-"""
+"""Records for a model: channels matched by name, otherwise by position."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import control as ct
 import numpy as np
 
-from ..exceptions import DataError
 from ..systems.linear import LinearModel
 from .frequency_response import FrequencyResponse
 from .measurement import Measurement
 
 _DEFAULT = re.compile(r"[uyx]\[\d+\]")
-
-_READERS: dict[str, Any] = {
-    **dict.fromkeys((".csv", ".tsv", ".txt", ".lvm", ".log"), Measurement.from_csv),
-    ".mat": Measurement.from_mat,
-    ".npz": Measurement.from_npz,
-    **dict.fromkeys((".h5", ".hdf5"), Measurement.from_hdf5),
-}
-SUFFIXES = tuple(_READERS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,85 +167,3 @@ def _selected(data: Measurement, inputs: Sequence[int], outputs: Sequence[int]) 
 def with_outputs(data: Measurement, outputs: Sequence[int]) -> Measurement:
     """The record with some of its outputs, all of its inputs."""
     return _selected(data, range(data.n_inputs), outputs)
-
-
-def read_record(
-    path: Path,
-    model: Any,
-    *,
-    inputs: Sequence[str] | None = None,
-    outputs: Sequence[str] | None = None,
-    time: str | None = None,
-    dt: float | None = None,
-    hold: str = "zoh",
-    decimal: str | None = None,
-) -> Measurement:
-    """Record for a model.
-
-    Parameters
-    ----------
-    path : Path
-        Text (.csv, .tsv, .txt, .lvm, .log), .mat, .npz, .h5 or .hdf5.
-    model : StateSpace or PhysicalModel
-        Model whose signals are looked for where `inputs` or `outputs` is None.
-    inputs, outputs : sequence of str, optional
-        Columns by the model's names, or as many of other names in the model's order.
-    time : str, optional
-        Column of times in s; "time" where `dt` is not given either.
-    dt : float, optional
-        Sampling time in s.
-    hold : {"zoh", "foh", "bandlimited"}
-        As `Measurement`.
-    decimal : {".", ","}, optional
-        Decimal mark of a text file; by default what its columns show.
-
-    Returns
-    -------
-    Measurement
-        Columns that are named like the model's signals, or fewer than it has, are found by name;
-        as many of other names stand in the model's order and take its names.
-
-    Raises
-    ------
-    DataError
-        If the file is of another kind, or a column is missing.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in _READERS:
-        raise DataError(
-            f"{path}: a record is a {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} file. For TDMS files, "
-            'ROS bags and logs see "read a format of another package" on the how-to page'
-        )
-    reader = _READERS[suffix]
-    text: dict[str, Any] = {} if decimal is None else {"decimal": decimal}
-    if text and reader != Measurement.from_csv:
-        raise DataError(f"{path} is no text file, which alone has a decimal mark")
-    linear = LinearModel.from_statespace(getattr(model, "system", model))
-    known: dict[str, str] = {}
-    columns, labels = {}, {}
-    for side, given in (("input", inputs), ("output", outputs)):
-        own = list(getattr(linear, f"{side}_labels"))
-        known |= dict(zip(own, getattr(model, f"{side}_units", ()), strict=False))
-        columns[side] = own if given is None else list(given)
-        by_name = set(columns[side]) <= set(own) or len(columns[side]) != len(own)
-        labels[side] = columns[side] if by_name else own
-    record = reader(
-        path,
-        columns["input"],
-        columns["output"],
-        time="time" if time is None and dt is None else time,
-        dt=dt,
-        hold=hold,
-        input_labels=labels["input"],
-        output_labels=labels["output"],
-        **text,
-    )
-    units = {  # those of the file, and the model's where the file has none
-        f"{side}_units": [
-            unit or known.get(label, "")
-            for unit, label in zip(getattr(record, f"{side}_units"), labels[side], strict=True)
-        ]
-        for side in labels
-    }
-    changed: Measurement = record._changed(**units)
-    return changed

@@ -13,18 +13,16 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import control as ct
 import numpy as np
 
 from ..arguments import as_number, as_texts
-from ..exceptions import DataError, MissingExtraError, RCOError, needed
+from ..exceptions import DataError, MissingExtraError, needed
 from ..systems.linear import Array
-from ..writing import most_bytes, read_archive
+from ..writing import damaged, most_bytes, read_archive
 
 _CHILD = Path(__file__).with_name("apart_child.py")
 _PATIENCE = 60.0  # s for any file ...
@@ -53,32 +51,6 @@ def names_of(values: str | Sequence[str], what: str) -> list[str]:
         if names.count(name) > 1:
             raise DataError(f"{what} must be unique, but names {name!r} twice")
     return list(names)
-
-
-@contextmanager
-def damaged(path: str | os.PathLike[str], said: str = "is damaged") -> Iterator[None]:
-    """Whatever fails while a file is read is the file's fault.
-
-    Parameters
-    ----------
-    path : str or path
-        File, for the message.
-    said : str
-        What is said of it.
-
-    Raises
-    ------
-    DataError
-        For any error that is not of this package, of python-control, or of the system about the file.
-    """
-    try:
-        yield
-    except (RCOError, ct.ControlArgument, ct.ControlDimension):
-        raise
-    except Exception as error:
-        if isinstance(error, OSError) and error.filename is not None:
-            raise  # no file there, or none that may be read
-        raise DataError(f"{os.fspath(path)!r} {said}: {type(error).__name__}: {error}") from error
 
 
 def read_apart(

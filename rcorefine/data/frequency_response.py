@@ -30,8 +30,9 @@ from ..arguments import (
 from ..exceptions import DataError
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array
+from ..writing import damaged
 from . import HOLDS
-from .formats import damaged, names_of, read_uff_responses
+from .formats import names_of, read_uff_responses
 from .record import FrequencyRecord
 from .signals import default_labels
 from .tables import read_csv

@@ -13,8 +13,9 @@ import numpy as np
 
 from ..arguments import as_choice, as_list, as_number, as_path, as_text, as_whole
 from ..exceptions import DataError
+from ..writing import damaged
 from . import HOLDS
-from .formats import FileColumns, damaged, names_of, read_hdf5, read_mat, read_npz, read_uff
+from .formats import FileColumns, names_of, read_hdf5, read_mat, read_npz, read_uff
 from .resampling import Stamped, as_stamps, regular
 from .signals import as_signals, check_finite, default_labels, is_irregular
 from .tables import read_csv, read_frame, seconds_per

@@ -27,7 +27,7 @@ from ..inference.refinement import Refinement
 from ..inference.starts import estimated_motion
 from ..inference.whitening import RESOLUTION
 from ..models.conversion import as_physical
-from ..models.library import effect_library, reads_rate, zero_entries
+from ..models.library import candidates_of, effect_library, reads_rate
 from ..models.operating_point import ordered_record
 from ..models.physical_model import PhysicalModel
 from ..progress import Progress
@@ -174,16 +174,6 @@ class Case:
         if (np.sum(left**2, axis=1) <= least**2 * np.sum(whole**2, axis=1)).all():
             return True
         return passes(tests, self.excess(fitted), self.significance, self.levels)
-
-
-def candidates_of(physical: PhysicalModel) -> list[Effect]:
-    """Return the candidate effects and the possible faults of a record.
-
-    Entries of B, C and D that are zero are candidates, too. A fault concerns a record as a whole.
-    """
-    inputs = physical.linear.input_labels[:1]  # such a fault is the same at all of them
-    faults = [Effect(law.name, place) for law in KINDS.values() if law.of_record for place in inputs]
-    return [*effect_library(physical), *zero_entries(physical), *faults]
 
 
 def differenced(physical: PhysicalModel, records: Sequence[Measurement]) -> list[Effect]:

@@ -12,10 +12,8 @@ import control as ct
 import numpy as np
 
 from ..effects.compiled import COUNT, evaluate
-from ..effects.formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
-from ..exceptions import ModelError
+from ..effects.formula import InputLaw, OutputLaw, PortLaw
 from ..systems.linear import Array
-from .controlled import open_loop
 from .point import field_numbers
 from .structure import Structure
 
@@ -47,8 +45,7 @@ def nonlinear_system(structure: Structure, theta: Array, name: str | None = None
     `control.input_output_response` interpolates inputs linearly: it agrees with
     rcorefine for records with ``hold="foh"``.
     """
-    structure = open_loop(structure)
-    _refuse_without_equation(structure)
+    structure = structure.with_equations()
     # matrices and force laws at these coefficients
     matrices = structure.matrices(theta.astype(float))
     codes, values, _, widths = structure.laws(theta)
@@ -134,22 +131,3 @@ def _drive(structure: Structure, theta: Array) -> Callable[[Any], Array]:
     # what acts at the operating point, to be subtracted
     rest = np.append(acting(level)[:nw] if structure.balanced else level, 0.0)
     return lambda u: np.asarray(acting(u) - rest)
-
-
-def _refuse_without_equation(structure: Structure) -> None:
-    """Raise an error if an effect has no state equation.
-
-    A delay has no finite state; an inner state that is updated sample by sample has no rate.
-    """
-    for effect in structure.effects:
-        law = effect.spec
-        if law.delays or law.drifts:
-            raise ModelError(
-                f"{effect.label} has no state equation; simulate with Refinement.simulate, or replace the "
-                "delay by control.pade"
-            )
-        if isinstance(law, FormulaLaw) and law.inner_states and (law.at_channel or law.rate is None):
-            raise ModelError(
-                f"{effect.label}: its inner state has no differential equation; simulate with "
-                "Refinement.simulate, or give its law a `rate`"
-            )

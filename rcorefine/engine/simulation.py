@@ -14,6 +14,7 @@ from ..arguments import as_state
 from ..data.channels import match_channels, record_for, resting_inputs
 from ..data.measurement import Measurement
 from ..data.records import as_record
+from ..effects.effect import Effect, as_effects
 from ..exceptions import DivergenceError, ModelError
 from ..gauss_newton import Rows, gauss_newton, own_sizes
 from ..models.controller import Controller, completed, held_effects
@@ -27,6 +28,7 @@ from .inputs import interpolate_band_limited, straight_lines
 from .observer import leading_gain
 from .structure import Structure
 
+_TRUE = 16  # substeps of a sample where effects of known size act
 _STILL, _MOST_STEPS = 1e-3, 64  # relative change by doubled substeps below which they suffice; most substeps
 
 
@@ -79,6 +81,7 @@ def simulate(
     data: Measurement,
     x0: str | Array = "estimate",
     *,
+    effects: Sequence[Effect] = (),
     controller: Controller | ct.StateSpace | None = None,
 ) -> Simulation:
     """Free run of a model over a record.
@@ -92,6 +95,10 @@ def simulate(
         those of the model are zero.
     x0 : {"estimate", "zero"} or ndarray of shape (n,)
         Initial state.
+    effects : sequence of Effect
+        Effects that act besides, each with all its coefficients in `Effect.fixed`: simulate a plant that does
+        what its model does not. The sign of a velocity is smoothed over the ``"width"`` in `Effect.fixed`, by
+        default a small share of the motion without the effects.
     controller : Controller, StateSpace or TransferFunction, optional
         As in `refine`: simulate the model in the loop of this controller. Driven by a reference from
         x0 = "zero" the result hangs on no output of the record.
@@ -106,7 +113,7 @@ def simulate(
     control.ControlDimension
         If channels or `x0` do not fit.
     ModelError
-        If the timebase of a discrete model is not that of the record.
+        If the timebase of a discrete model is not that of the record, or an effect cannot act on the model.
     DivergenceError
         If the free run leaves all bounds.
 
@@ -117,11 +124,25 @@ def simulate(
     >>> data = rco.Measurement(np.ones(50), 1 - np.exp(-0.1 * np.arange(50)), dt=0.1)
     >>> bool(np.allclose(simulate(lag, data, "zero").outputs, data.outputs))
     True
+    >>> chain = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    >>> friction = rco.Effect("coulomb_friction", "link1", fixed={"force": 0.5})
+    >>> blank = rco.Measurement(np.sin(np.arange(500.0)), np.zeros(500), dt=0.02)
+    >>> y = simulate(chain, blank, "zero", effects=[friction]).outputs
+    >>> bool(np.std(y) < np.std(simulate(chain, blank, "zero").outputs))
+    True
     """
-    return simulated(under_control(model, controller, as_record(data)), data, x0)
+    controlled, effects = under_control(model, controller, as_record(data)), as_effects(effects, "effects")
+    try:
+        return simulated(controlled, data, x0, effects=effects)
+    except np.linalg.LinAlgError as error:
+        raise ModelError(
+            f"the effects leave a state without inertia: {error}; give smaller values"
+        ) from error
 
 
-def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = False) -> Simulation:
+def simulated(
+    model: Any, data: Measurement, x0: str | Array, *, led: bool = False, effects: Sequence[Effect] = ()
+) -> Simulation:
     """Simulate as `simulate` does, if needed with an observer.
 
     With `led`, an observer corrects an unstable model, which has no free run.
@@ -130,6 +151,10 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
     inner = getattr(model, "system", model)
     # discrete-time model: plain recursion
     if isinstance(inner, ct.StateSpace) and inner.dt != 0:
+        if effects:
+            raise ModelError(
+                f"{effects[0].label} acts in continuous time; convert the model with rcorefine.d2c"
+            )
         return _simulate_discrete(LinearModel.from_statespace(inner), data, x0)
     structure, theta, substeps = structure_of(model)
     if structure.model.controller is not None:
@@ -137,6 +162,9 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
         data = record_for(data, match_channels(structure.linear_model, data))
     data = resting_inputs(data, structure.linear_model.input_labels)
     check_channels(structure.linear_model, data)
+    # further effects, on substeps much finer than those of an estimate
+    if effects:
+        structure, substeps = _with_effects(model, structure, effects, data), max(substeps, _TRUE)
     # the given initial state is that of the model, without the controller
     own = own_states(structure)
     start, point = as_state(x0, own.size), structure.model.operating_point
@@ -163,6 +191,31 @@ def simulated(model: Any, data: Measurement, x0: str | Array, *, led: bool = Fal
     outputs, states = run.outputs + levels[0][:, None], run.states + levels[1][:, None]
     at = slice(None, None, factor)
     return Simulation(outputs[:, at], states[own][:, at], run.forces[:, at], (start + levels[1])[own])
+
+
+def _with_effects(
+    model: Any, structure: Structure, effects: Sequence[Effect], data: Measurement
+) -> Structure:
+    """Return the structure with further effects of known coefficients."""
+    for effect in effects:
+        if effect.free:
+            raise ModelError(
+                f"{effect.label}: give the value of {', '.join(effect.free)} in fixed= of the effect"
+            )
+    widths = dict(structure.constants)
+    plain: Simulation | None = None
+    for index, effect in enumerate(effects, len(structure.effects)):
+        share = effect.spec.width_share
+        if share is not None and "width" not in effect.fixed:
+            # motion from rest without the effects
+            plain = plain or simulated(model, data, "zero")
+            port = structure.model.port(effect.place)
+            n = port.velocity.size
+            speed = port.velocity @ plain.states[:n] + port.velocity_input @ data.inputs
+            widths[index] = share * float(np.sqrt(np.mean(speed**2))) or 1.0
+        elif share is not None:
+            widths[index] = effect.fixed["width"]
+    return Structure(structure.model, (*structure.effects, *effects), constants=widths)
 
 
 _FINER = 8  # parts of a sample in which a command behind effects may change

@@ -21,6 +21,7 @@ from ..effects.law import AbsorbedLaw, Site
 from ..effects.right_hand_side import Field, ModelParameter
 from ..exceptions import ModelError
 from ..models.conversion import as_physical
+from ..models.operating_point import refuse_point
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
 from .controlled import open_loop
@@ -420,6 +421,37 @@ class Structure:
         """Return whether all effects are absorbed into A, B, C, D."""
         others = self._port_effects + self._input_statics + self._output_statics + self._delayed_outputs
         return not others and self.field is None and not self.drifts
+
+    def with_equations(self, what: str = "") -> Structure:
+        """Return the open loop, where each effect has a state equation.
+
+        Parameters
+        ----------
+        what : str
+            What supports no operating point, for messages; empty where it does.
+
+        Raises
+        ------
+        ModelError
+            If an effect has no state equation: a delay has no finite state, and an inner state that is
+            updated sample by sample has no rate.
+        """
+        structure = open_loop(self)
+        if what:
+            refuse_point(structure.model, what)
+        for effect in structure.effects:
+            law = effect.spec
+            if law.delays or law.drifts:
+                raise ModelError(
+                    f"{effect.label} has no state equation; simulate with Refinement.simulate, or replace "
+                    "the delay by control.pade"
+                )
+            if isinstance(law, FormulaLaw) and law.inner_states and (law.at_channel or law.rate is None):
+                raise ModelError(
+                    f"{effect.label}: its inner state has no differential equation; simulate with "
+                    "Refinement.simulate, or give its law a `rate`"
+                )
+        return structure
 
     def state_labels(self) -> list[str]:
         """Return the names of the states.

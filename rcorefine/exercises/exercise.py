@@ -16,7 +16,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
@@ -24,11 +24,9 @@ import numpy as np
 from rcorefine import Effect, Measurement, PhysicalModel
 
 from ..arguments import as_choice, as_flag, as_number, as_path, as_text, as_whole
-from ..data.formats import damaged
-from ..effects.domains import kind_named
 from ..exceptions import DataError, ModelError
 from ..results import Reported, Result, Row
-from ..writing import read_archive, replacing
+from ..writing import damaged, read_archive, replacing
 from .hiding import LEVELS, TRAINING, Accepted, hide
 from .plants import PLANTS, record_of
 
@@ -74,7 +72,19 @@ def _seal(salt: str, *words: str) -> str:
     return hashlib.pbkdf2_hmac("sha256", "|".join(words).encode(), salt.encode(), _ROUNDS).hex()[:32]
 
 
-EFFECT, PLACE, COEFFICIENT = 0.6, 0.3, 0.4  # points: for the effect, the place alone, the coefficient
+class _Answer(NamedTuple):
+    kind: str
+    place: str
+    coefficient: float | None
+
+
+_COEFFICIENT = 0.4  # points for the coefficient; those for the effect, and what is said of it:
+_MARKS = {
+    "right": (0.6, "Right: this effect, at this place."),
+    "tied": (0.6, "This counts as right: the record cannot distinguish it from the hidden effect."),
+    "place": (0.3, "The place is right, but the effect is another one."),
+    "wrong": (0.0, "Neither this effect nor this place."),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,16 +110,10 @@ class Mark(Row):
 
         The effect gives 0.6 (the place alone 0.3), and the coefficient 0.4.
         """
-        first = {"right": EFFECT, "tied": EFFECT, "place": PLACE, "wrong": 0.0}[self.effect]
-        return first + (COEFFICIENT if self.coefficient else 0.0)
+        return _MARKS[self.effect][0] + (_COEFFICIENT if self.coefficient else 0.0)
 
     def __str__(self) -> str:
-        said = {
-            "right": "Right: this effect, at this place.",
-            "tied": "This counts as right: the record cannot distinguish it from the hidden effect.",
-            "place": "The place is right, but the effect is another one.",
-            "wrong": "Neither this effect nor this place.",
-        }[self.effect]
+        _, said = _MARKS[self.effect]
         if self.coefficient is None:
             return said
         return f"{said} The coefficient is {'near enough' if self.coefficient else 'not near enough'}."
@@ -170,8 +174,7 @@ class Exercise(Result):
         ModelError
             If this copy was saved without its answer.
         """
-        kind = kind_named(kind)
-        value = self._answer(kind, place, coefficient)
+        kind, place, value = self._answer(kind, place, coefficient)
         if not self.has_answer:
             raise ModelError("this copy holds no answer: hand in what you found with hand_in()")
         effect = next(
@@ -219,14 +222,8 @@ class Exercise(Result):
         control.ControlArgument
             If no candidate is of this kind at this place.
         """
-        kind = kind_named(kind)
-        answer = {
-            "exercise": self.ident,
-            "student": as_text(student, "student"),
-            "kind": kind,
-            "place": place,
-            "coefficient": self._answer(kind, place, coefficient),
-        }
+        about = {"exercise": self.ident, "student": as_text(student, "student")}
+        answer = about | self._answer(kind, place, coefficient)._asdict()
         target = as_path(path)
         with replacing(target) as stream:
             stream.write(json.dumps(answer, indent=1).encode())
@@ -257,12 +254,13 @@ class Exercise(Result):
             np.savez_compressed(stream, inputs=whole[0], outputs=whole[1], about=np.array(about))
         return target
 
-    def _answer(self, kind: str, place: str, coefficient: float | None) -> float | None:
-        wanted = kind, as_text(place, "place")
-        if wanted not in [(effect.kind, effect.place) for effect in self.candidates]:
+    def _answer(self, kind: str, place: str, coefficient: float | None) -> _Answer:
+        wanted = Effect(kind, place)
+        if wanted.key not in [effect.key for effect in self.candidates]:
             known = ", ".join(f"{effect.kind} at {effect.place}" for effect in self.candidates)
-            raise ct.ControlArgument(f"no candidate {kind!r} at {place!r}; the candidates are {known}")
-        return None if coefficient is None else as_number(coefficient, "coefficient")
+            raise ct.ControlArgument(f"no candidate {wanted.kind!r} at {place!r}; the candidates are {known}")
+        value = None if coefficient is None else as_number(coefficient, "coefficient")
+        return _Answer(wanted.kind, wanted.place, value)
 
 
 def hidden_effect(seed: int, plant: str = "motor", level: int = 1) -> Exercise:

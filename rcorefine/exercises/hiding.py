@@ -12,9 +12,9 @@ import numpy as np
 
 from rcorefine import Diagnosis, Effect, Measurement, PhysicalModel, diagnose, simulate
 
+from ..arguments import Array
 from ..exceptions import DivergenceError, ModelError, unheard
-from ..systems.linear import Array
-from .plants import ExercisePlant, hidden_outputs, noisy, record_of
+from .plants import ExercisePlant, record_of
 
 #: Share of the outputs that the model misses, and the noise of the sensors.
 LEVELS = {1: (0.30, 0.01), 2: (0.15, 0.02), 3: (0.08, 0.03)}
@@ -88,7 +88,7 @@ def hide(
     loss, noise = LEVELS[level]
     rng = np.random.default_rng(seed)
     blank = plant.excited(model, SAMPLES, rng)
-    plain = hidden_outputs(model, {}, blank)
+    plain = simulate(model, blank, "zero").outputs
     sizes = noise * plain.std(axis=1, keepdims=True)
     speeds = _speeds(model, blank)
     offers = []
@@ -100,7 +100,9 @@ def hide(
                 offers.append(_Offer(effect, *sized, change - change.mean(axis=1, keepdims=True)))
     alone = [offer for offer in offers if _distance(offer, offers) > _APART]
     for offer in [alone[i] for i in rng.permutation(len(alone))[:_TRIALS]]:
-        data = record_of(model, blank.inputs, noisy(offer.outputs, noise, rng), dt=plant.dt)
+        y = offer.outputs
+        y = y + noise * y.std(axis=1, keepdims=True) * rng.standard_normal(y.shape)
+        data = record_of(model, blank.inputs, y, dt=plant.dt)
         train, test = data.split(TRAINING)
         with unheard():  # they may name it
             accepted = _accepted(diagnose(model, train, candidates=candidates), offer)
@@ -122,7 +124,9 @@ def _sized(
 
     With this coefficient, the model misses about the share `loss` of the outputs.
     """
-    widths = {0: _SHARP * speeds[effect.place]} if effect.spec.jumps else {}
+    (name,), width = effect.coefficients, {}
+    if effect.spec.jumps:
+        width = {"width": _SHARP * speeds[effect.place]}
     size = float(np.linalg.norm(plain.std(axis=1)))
     known = [p.value for p in model.parameters if (p.kind, p.place) == (effect.kind, effect.place)]
     own = list(filter(None, known))
@@ -131,8 +135,9 @@ def _sized(
     value = 0.1 * abs(own[0]) if own else 0.137
     for _ in range(_STEPS):
         try:
-            outputs = hidden_outputs(model, {effect: [sign * value]}, blank, widths)
-        except (DivergenceError, np.linalg.LinAlgError):  # it runs away, or a mass is gone
+            hidden = effect.replace(fixed={name: sign * value, **width})
+            outputs = simulate(model, blank, "zero", effects=[hidden]).outputs
+        except (DivergenceError, ModelError):  # it runs away, or a mass is gone
             value /= 30.0
             continue
         missed = float(np.linalg.norm((outputs - plain).std(axis=1))) / size

@@ -1,12 +1,11 @@
 """Plants of the exercises, one for each lab.
 
-Each has a linear model, an excitation, and effects that the model may lack. The simulation of records with
-such effects is finer than that of any estimator.
+Each has a linear model, an excitation, and effects that the model may lack.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import control as ct
@@ -25,11 +24,7 @@ from rcorefine import (
     thermal_network,
 )
 
-from ..engine.engine import Engine
-from ..engine.structure import Structure
-from ..systems.linear import Array
-
-_SUBSTEPS = 16
+from ..arguments import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,46 +226,3 @@ def record_of(
         output_units=model.output_units or None,
         name=name,
     )
-
-
-def hidden_outputs(
-    model: PhysicalModel,
-    hidden: Mapping[Effect, Sequence[float]],
-    record: Measurement,
-    widths: Mapping[int, float] | None = None,
-) -> Array:
-    """Outputs of a model from rest with effects in it.
-
-    Parameters
-    ----------
-    model : PhysicalModel
-        Linear model; about its operating point where it has one.
-    hidden : mapping of Effect to sequence of float
-        Effects and their coefficients.
-    record : Measurement
-        Inputs, absolute.
-    widths : mapping of int to float, optional
-        By the number of the effect: over which velocity its sgn(v) is smoothed.
-
-    Returns
-    -------
-    ndarray, shape (n_y, N)
-        Without noise.
-
-    Raises
-    ------
-    DivergenceError
-        If the plant runs away.
-    """
-    point = model.operating_point
-    data = record if point is None else record.deviation(point.inputs, point.outputs)
-    structure = Structure(model, list(hidden), constants=dict(widths or {}))
-    values = np.concatenate([np.zeros(0), *(np.asarray(list(c), dtype=float) for c in hidden.values())])
-    run = Engine(structure, data, substeps=_SUBSTEPS).run(values, sensitivity=False)
-    return run.outputs if point is None else run.outputs + point.outputs[:, None]
-
-
-def noisy(outputs: Array, noise: float, rng: np.random.Generator) -> Array:
-    """Outputs with white noise of a share of the standard deviation of each."""
-    added: Array = noise * outputs.std(axis=1, keepdims=True) * rng.standard_normal(outputs.shape)
-    return outputs + added

@@ -6,20 +6,23 @@ Names from files stand in `PlainText` or not at all: bokeh reads formulas in oth
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from itertools import zip_longest
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, PlainText, Range1d
 from bokeh.plotting import figure
 
-from rcorefine import FrequencyResponse, Measurement, Refinement
+from rcorefine import FrequencyResponse, Measurement, compare
 
-from ..comparison.failure_map.state import ResidualForce
+from ..arguments import Array
 from ..exceptions import DataError
-from ..systems.linear import Array, LinearModel
-from ..systems.response import as_sampled, frequency_response
-from .exploration import Addition, Exploration, ExplorationStep
+from .exploration import Exploration, ExplorationStep
 from .look import PICTURE
+
+if TYPE_CHECKING:
+    from ..comparison.failure_map.state import ResidualForce
+    from ..refinement.by_hand import Addition
 
 _RECORD, _INITIAL, _PRESENT = "#8a8f96", "#1f4e9c", "#b5400a"
 _LAWS = ("#b5400a", "#1b7837", "#7b3294")
@@ -204,14 +207,12 @@ def _response(
 ) -> tuple[Array, Any]:
     """Return the frequency response of a model, and its frequencies.
 
-    A linear model gives its own response. The response of any other is estimated from its simulation, as that
-    of the record is.
+    A linear model gives its own response, sampled like the record. The response of any other is estimated
+    from its simulation, as that of the record is.
     """
-    model: Refinement = step.refinement
-    if model.simulation_structure()[0].is_linear or len(model.initial_states) > 1:
-        linear = as_sampled(LinearModel.from_statespace(model.system), measured.dt, measured.hold)
-        w = np.geomspace(measured.omega[0], min(measured.omega[-1], np.pi / record.dt), 600)
-        return w, frequency_response(linear, w)[i, j]
+    model = step.refinement
+    if all(effect.is_linear for effect in model.effects) or len(model.initial_states) > 1:
+        return measured.omega, compare(model.system, measured).responses[0][i, j]
     run = Measurement(record.inputs, step.runs, dt=record.dt, hold=record.hold).frequency_response()
     return run.omega, run.response[i, j]
 
@@ -235,17 +236,12 @@ class ForcePicture:
             for source, color in zip(self.laws, _LAWS, strict=True)
         ]
 
-    def show(self, force: ResidualForce, unit: str, found: Sequence[Addition]) -> None:
+    def show(self, force: ResidualForce, found: Sequence[Addition]) -> None:
         """Draw the force over the signal that the best law goes by."""
         drawn = [one for one in found if one.curve is not None][: len(_LAWS)]
-        over_d = bool(np.ptp(force.position)) and (
-            not np.ptp(force.velocity) or bool(drawn and "position" in drawn[0].effect.spec.needs)
-        )
-        x = force.position if over_d else force.velocity
-        what = ("displacement" if over_d else "velocity") if force.mechanical else "state"
-        units = force.position_unit if over_d else force.velocity_unit
-        self.figure.xaxis.axis_label = PlainText(text=_unit(f"{what} at {force.place}", units))
-        self.figure.yaxis.axis_label = PlainText(text=_unit("missing force", unit))
+        x = self._show_axis(force, drawn)
+        self.figure.yaxis.axis_label = PlainText(text=_unit("missing force", force.force_unit))
+        # samples in the order of the motion, without the ends of the record
         edge = x.size // 50
         order = edge + np.argsort(x[edge : x.size - edge], kind="stable")
         few = order[:: max(order.size // _DOTS, 1)]
@@ -254,19 +250,25 @@ class ForcePicture:
         for scale, values in ((self.figure.x_range, x[few]), (self.figure.y_range, force.force[few] - level)):
             low, high = np.quantile(values, [0.002, 0.998])
             scale.update(start=low - 0.1 * (high - low), end=high + 0.1 * (high - low) or 1.0)
-        cells = np.array_split(order, _CELLS)
-        self.means.data = {
-            "x": [x[c].mean() for c in cells], "f": [np.median(force.force[c]) - level for c in cells]
-        }  # fmt: skip
-        # a law as its mean over narrow cells of the motion: one line, also where it remembers
+        # median of the force, and means of the laws, over cells of the motion
+        self.means.data = _over_cells(x, force.force - level, np.array_split(order, _CELLS), np.median)
         cells = np.array_split(order, min(200, order.size))
-        for k, source in enumerate(self.laws):
-            curve = drawn[k].curve if k < len(drawn) else None
-            if curve is None:
-                source.data = {"x": [], "f": []}
-                continue
-            level = float(curve[order].mean())
-            source.data = {"x": [x[c].mean() for c in cells], "f": [curve[c].mean() - level for c in cells]}
+        for source, one in zip_longest(self.laws, drawn):  # one line, also where a law remembers
+            curve = x[:0] if one is None or one.curve is None else one.curve - one.curve[order].mean()
+            source.data = _over_cells(x, curve, cells if curve.size else [], np.mean)
+
+    def _show_axis(self, force: ResidualForce, drawn: Sequence[Addition]) -> Array:
+        """Name the axis of the motion, and return the motion along it."""
+        by_place = bool(drawn) and "position" in drawn[0].effect.spec.needs
+        over_d = bool(np.ptp(force.position)) and (by_place or not np.ptp(force.velocity))
+        what = ("displacement" if over_d else "velocity") if force.mechanical else "state"
+        units = force.position_unit if over_d else force.velocity_unit
+        self.figure.xaxis.axis_label = PlainText(text=_unit(f"{what} at {force.place}", units))
+        return force.position if over_d else force.velocity
+
+
+def _over_cells(x: Array, f: Array, cells: Sequence[Any], middle: Any) -> dict[str, list[float]]:
+    return {"x": [x[c].mean() for c in cells], "f": [middle(f[c]) for c in cells]}
 
 
 class Staircase:

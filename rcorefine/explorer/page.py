@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import control as ct
 import panel as pn
@@ -23,13 +23,14 @@ from tornado.web import HTTPError, OutputTransform, RequestHandler
 
 from rcorefine import Check, Diagnosis, Effect
 
-from ..comparison.failure_map.search import Failure, FailureMap
 from ..exceptions import RCOError, unheard
-from ..views.failure_map import ROLES
-from ..views.tables import html_table, number
-from .exploration import Addition, Exploration, ExplorationStep
+from .exploration import Exploration, ExplorationStep
 from .figures import BodePicture, ForcePicture, Staircase, TimePicture
 from .look import GRID, TEXT, WIDGET
+
+if TYPE_CHECKING:
+    from ..comparison.failure_map.search import Failure, FailureMap
+    from ..refinement.by_hand import Addition
 
 
 def text(html: str) -> Any:
@@ -235,7 +236,7 @@ class ExplorerPage:
         explored, data = self.explored, self.explored.record
         self._time, self._bode = TimePicture(explored), BodePicture(explored)
         self._force, self._stairs = ForcePicture(), Staircase()
-        size = f"{data.n_samples} samples, {number(data.duration, 3)} s, dt = {number(data.dt, 4)} s"
+        size = f"{data.n_samples} samples, {data.duration:.3g} s, dt = {data.dt:.4g} s"
         heading = text(
             f"<h1>Model {escape(explored.physical.name)} and record {escape(data.name)}</h1>"
             f'<p class="soft">{size}. {escape(explored.note)}</p>'
@@ -310,8 +311,10 @@ class ExplorerPage:
         self._bode.show()
         self._stairs.show(steps)
         self._say_error(steps[-1].error)
-        names = [[str(k), step.name, f"{step.error:.3g} %"] for k, step in enumerate(steps)]
-        table = html_table(["step", "change", "error"], names, left=2)
+        rows = [[str(k), step.name, f"{step.error:.3g} %"] for k, step in enumerate(steps)]
+        cells = ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
+        head = "<th>step</th><th>change</th><th>error</th>"
+        table = f"<table>{''.join(f'<tr>{row}</tr>' for row in (head, *cells))}</table>"
         said = paragraphs(steps[-1].refinement.warnings)
         self._steps.object = f'<div class="scroll">{table}</div>{said}'
         self._fit.disabled, self._undo.disabled = not self.explored.effects, len(steps) == 1
@@ -395,7 +398,7 @@ class ExplorerPage:
         rows = list(self._map or ())
         self._rows.objects = [
             button(
-                f"{ROLES[row.role]} {row.dimension}: {row.where} ({row.measure}), "
+                f"{row.mark} {row.dimension}: {row.where} ({row.measure}), "
                 f"{100 * row.share:.0f} % of the error",
                 partial(self._look_at, row),
                 chosen=row is self._row,
@@ -426,14 +429,14 @@ class ExplorerPage:
     def _show_candidates(self, found: tuple[Any, Sequence[Addition], Sequence[Addition]]) -> None:
         force, here, every = found
         if force is not None:
-            self._force.show(force, self.explored.physical.port(force.place).force_unit, here)
+            self._force.show(force, here)
         said = _CHANNEL_NOTE if force is None else _FORCE_NOTE
         buttons = []
         for k, one in enumerate(here[:_BUTTONS]):
             share = "" if one.curve is None else f": explains {100 * one.share:.0f} % of this force"
             where = "" if one.curve is None or k > 2 else f" ({_COLORS[k]} line)"
             units = {name: unit.removeprefix("1") for name, unit in self.explored.units(one.effect).items()}
-            values = [f"{n} {number(v, 3)} {units[n]}".rstrip() for n, v in one.coefficients.items()]
+            values = [f"{n} {v:.3g} {units[n]}".rstrip() for n, v in one.coefficients.items()]
             words = f"Add {one.effect.label}{share}{where}, {', '.join(values)}"
             buttons.append(button(words, partial(self._add, one)))
         other = select("any other effect", [one.effect.label for one in every])

@@ -7,15 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..effects.formula import FormulaLaw
-from ..engine.controlled import open_loop
-from ..engine.nonlinear import nonlinear_system
-from ..engine.structure import Structure
+from ..arguments import Array
 from ..exceptions import ModelError
-from ..models.operating_point import refuse_point
-from ..systems.linear import Array
+
+if TYPE_CHECKING:
+    from ..engine.structure import Structure
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +72,11 @@ class Equations:
     remarks: tuple[str, ...]
 
 
+#: Signals that the formula of a law takes, by what they are called in the equations.
+_AT_PLACE = {"d": "d", "v": "v", "d_start": "d", "z_start": "z"}
+_AT_CHANNEL = dict.fromkeys(("w", "w_start", "y", "y_start"), "s")
+
+
 def equations_of(structure: Structure, theta: Array, remarks: Sequence[str]) -> Equations:
     """Equations of a model with its effects.
 
@@ -95,46 +98,40 @@ def equations_of(structure: Structure, theta: Array, remarks: Sequence[str]) -> 
     ModelError
         If an effect has no state equation (a delay, a memory without `rate`).
     """
-    structure = open_loop(structure)
-    refuse_point(structure.model, "an export")
-    nonlinear_system(structure, theta)  # refuses what has no state equation
+    structure = structure.with_equations("an export")
     linear, matrices = structure.linear_model, structure.matrices(theta.astype(float))
     _, _, _, widths = structure.laws(theta)
-    places = {"d": "d", "v": "v", "d_start": "d", "z_start": "z"}
 
     def term(index: int, channel: int, signals: dict[str, str], width: float = 1.0) -> Term:
-        effect, law = structure.effects[index], structure.effects[index].spec
-        assert isinstance(law, FormulaLaw)
-        values: dict[str, Any] = dict(zip(law.row, structure.law_values(theta, index), strict=True))
-        taken: dict[str, Any] = values | {"width": float(width)} | signals
+        effect, law = structure.effects[index], law_of(index)
         if law.feels_inputs:
             raise ModelError(
                 f"{effect.label}: its formula takes the array of inputs; it has no other language"
             )
-        given: tuple[tuple[str, Any], ...] = tuple((name, taken[name]) for name in law.arguments)
+        values = dict(zip(law.row, structure.law_values(theta, index), strict=True))
+        taken: dict[str, Any] = values | {"width": float(width)} | signals
         scale = values[law.row[0]] if law.scaled else 1.0
+        given: tuple[tuple[str, Any], ...] = tuple((name, taken[name]) for name in law.arguments)
         return Term(effect.label, law.law, given, channel, scale, law.inner_states > 0)
+
+    def law_of(index: int) -> Any:  # with state equations each is a formula
+        return structure.effects[index].spec
 
     ports, rates = [], []
     for channel, index in enumerate(structure.port_effects):
-        ports.append(term(index, channel, places, float(widths[channel])))
-        law = structure.effects[index].spec
-        if isinstance(law, FormulaLaw) and law.inner_states and law.rate is not None:
+        ports.append(term(index, channel, _AT_PLACE, float(widths[channel])))
+        law = law_of(index)
+        if law.inner_states and law.rate is not None:
             found = structure.law_values(theta, index)[: len(law.coefficients)]
-            given: tuple[tuple[str, Any], ...] = (
-                ("d", "d"),
-                ("v", "v"),
-                ("z", "z"),
-                *zip(law.coefficient_names, found, strict=True),
-            )
+            given: tuple[tuple[str, Any], ...]
+            given = (*((key, key) for key in "dvz"), *zip(law.coefficient_names, found, strict=True))
             rates.append(Term(structure.effects[index].label, law.rate, given, channel))
-    held = {name: "s" for name in ("w", "w_start", "y", "y_start")}
     A, B, C, D, E, G, P = (getattr(matrices, key) for key in "ABCDEGP")
     return Equations(
         A, B, C, D, E, G, P,
         tuple(ports),
-        tuple(term(index, channel, held) for index, channel in structure.input_statics),
-        tuple(term(index, channel, held) for index, channel in structure.output_statics),
+        tuple(term(index, channel, _AT_CHANNEL) for index, channel in structure.input_statics),
+        tuple(term(index, channel, _AT_CHANNEL) for index, channel in structure.output_statics),
         tuple(rates),
         tuple(linear.input_labels),
         tuple(linear.output_labels),

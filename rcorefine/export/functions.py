@@ -46,6 +46,9 @@ class Language(NamedTuple):
     power: str
     functions: dict[str, str]
     reserved: frozenset[str]
+    body: tuple[str, ...] = ()  #: lines before the statements
+    unused: str = ""  #: line that mentions an argument which the formula does not read
+    changes_arguments: bool = True
 
 
 _C = Language(
@@ -59,6 +62,7 @@ _C = Language(
               "return short signed sizeof static static_assert struct switch thread_local true typedef "
               "typeof typeof_unqual union unix unsigned void volatile while HUGE_VAL HUGE_VALF "
               "HUGE_VALL INFINITY MATH_ERREXCEPT MATH_ERRNO NAN math_errhandling".split()),
+    unused="    (void){};",
 )  # fmt: skip
 _MATLAB = Language(
     "MATLAB", "function result = {name}({arguments})", "{}", ", ", "", "end", "{name} = {value};",
@@ -83,6 +87,7 @@ _MODELICA = Language(
               "loop model not operator or outer output package parameter partial protected public pure "
               "record redeclare replaceable result return stream then time true type when "
               "while within".split()),
+    body=("  algorithm",), changes_arguments=False,
 )  # fmt: skip
 LANGUAGES = {language.name: language for language in (_C, _MATLAB, _MODELICA)}
 
@@ -200,24 +205,24 @@ class _Writer:
             lines = [f"def {name}({', '.join(arguments)}):"]
             lines += [f"    {line}" for item in body for line in ast.unparse(self._plain(item)).splitlines()]
             return "\n".join(lines)
-        language = self.language
         for item in sorted(self.local):
             self.words[item] = word(item, self.name, self.words.values())
+        head = self._head(name, arguments, stored, {item.id for item in used})
+        return "\n".join([*head, *self.block(body), self.language.end.format(name=name)])
+
+    def _head(self, name: str, arguments: list[str], stored: set[str], used: set[str]) -> list[str]:
+        """Return the lines before the statements: arguments and variables."""
+        language, words = self.language, self.words
         changed = stored & set(arguments)
-        if changed and self.name == "Modelica":
+        if changed and not language.changes_arguments:
             raise self.refuse(f"{changed.pop()} = ...")
-        given = language.between.join(language.argument.format(self.words[item]) for item in arguments)
+        given = language.between.join(language.argument.format(words[item]) for item in arguments)
         lines = [language.head.format(name=name, arguments=given)]
-        own = sorted(stored - set(arguments))
+        own = [words[item] for item in sorted(stored - set(arguments))]
         if own and language.declare:
-            lines.append(language.declare.format(names=", ".join(self.words[item] for item in own)))
-        if self.name == "Modelica":
-            lines.append("  algorithm")
-        if self.name == "C":
-            read = {item.id for item in used}
-            lines += [f"    (void){self.words[item]};" for item in arguments if item not in read]
-        lines += self.block(body)
-        return "\n".join([*lines, language.end.format(name=name)])
+            lines.append(language.declare.format(names=", ".join(own)))
+        unread = [words[item] for item in arguments if item not in used and language.unused]
+        return [*lines, *language.body, *(language.unused.format(item) for item in unread)]
 
     def _plain(self, node: ast.stmt) -> ast.stmt:
         """Return a Python statement with values in place of names.
@@ -308,18 +313,23 @@ class _Writer:
                 )
             case ast.BinOp(op=op) if type(op) in _SIGNS:
                 return f"({self.expression(node.left)} {_SIGNS[type(op)]} {self.expression(node.right)})"
-            case ast.BoolOp(op=op, values=[left, *others]):
-                here, rest = map(self.expression, (left, ast.BoolOp(op, others) if others[1:] else others[0]))
-                yes, no = (rest, here) if isinstance(op, ast.And) else (here, rest)
-                return language.choose.format(test=self.test(left), yes=yes, no=no)
-            case ast.Compare() | ast.UnaryOp(op=ast.Not()):
-                return language.choose.format(test=self.test(node), yes="1.0", no="0.0")
-            case ast.IfExp(test=test, body=yes, orelse=no):
-                first, second = self.expression(yes), self.expression(no)
-                return language.choose.format(test=self.test(test), yes=first, no=second)
+            case ast.BoolOp() | ast.Compare() | ast.IfExp() | ast.UnaryOp(op=ast.Not()):
+                test, yes, no = self._choice(node)
+                return language.choose.format(test=self.test(test), yes=yes, no=no)
             case ast.Call(func=ast.Name() | ast.Attribute(), keywords=[]):
                 return self._call(node)
         raise self.refuse(node)
+
+    def _choice(self, node: ast.expr) -> tuple[ast.expr, str, str]:
+        """Return the condition of an expression, and its two values."""
+        match node:
+            case ast.IfExp(test=test, body=yes, orelse=no):
+                return test, self.expression(yes), self.expression(no)
+            case ast.BoolOp(op=op, values=[left, *others]):  # in Python the value of one of them
+                rest = ast.BoolOp(op, others) if others[1:] else others[0]
+                yes, no = (rest, left) if isinstance(op, ast.And) else (left, rest)
+                return left, self.expression(yes), self.expression(no)
+        return node, "1.0", "0.0"
 
     def test(self, node: ast.expr) -> str:
         """Write an expression as a condition: in Python a number is one, too."""

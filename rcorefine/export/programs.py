@@ -10,8 +10,7 @@ from collections.abc import Callable, Iterable
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
-from ..arguments import as_path
-from ..systems.linear import Array
+from ..arguments import Array, as_path, printable
 from ..writing import replacing
 from .equations import Equations, Term, equations_of
 from .functions import translated, word
@@ -90,11 +89,7 @@ def _head(e: Equations, mark: str) -> list[str]:
         )
     ]
     lines = [f"Model {e.name}, refined on a measured record by rcorefine.", *e.remarks, *listed]
-    return [
-        f"{mark} "
-        + "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in line)
-        for line in lines
-    ]
+    return [f"{mark} {printable(line)}" for line in lines]
 
 
 def _identifier(e: Equations, language: str) -> str:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from rcorefine import Effect
 
+from ..arguments import Array
 from ..results import Row
-from ..systems.linear import Array
 from . import pooling
 
 

@@ -12,8 +12,11 @@ from dataclasses import dataclass
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
+import control as ct
+
+from rcorefine import Effect
+
 from ..arguments import as_path
-from ..effects.law import KINDS
 from ..exceptions import DataError
 from ..results import chance, with_error
 from .comparison import FleetEffect, MachineEffect
@@ -44,7 +47,7 @@ class Breach:
 def breaches(survey: Survey, conditions: str | PathLike[str] | Mapping[str, Any]) -> tuple[Breach, ...]:
     """See `Survey.breaches`."""
     found: list[Breach] = []
-    for number, table in enumerate(_tables(conditions), 1):
+    for number, table in enumerate(_tables(conditions, {effect.kind for effect in survey.effects}), 1):
         name = str(table.get("name", f"condition {number}"))
         [test] = [word for word in _TESTS if word in table]
         found += [
@@ -137,10 +140,13 @@ _TESTS: dict[str, Callable[[Any, Mapping[str, Any], Any], _Said]] = {
     "verdict": _verdict,
     "errors": _errors,
 }
+
+
+#: Keys beside the test of a table; those but the last hold text.
 _WORDS = ("name", "effect", "place", "machine", "share")
 
 
-def _tables(conditions: Any) -> list[dict[str, Any]]:
+def _tables(conditions: Any, held: set[str]) -> list[dict[str, Any]]:
     """The tables, each with one test, and no word that means nothing."""
     where = "conditions"
     if not isinstance(conditions, Mapping):
@@ -150,34 +156,40 @@ def _tables(conditions: Any) -> list[dict[str, Any]]:
             conditions = tomllib.loads(path.read_text(encoding="utf-8"))
         except ValueError as error:
             raise DataError(f"{where} is not TOML: {error}") from error
-    tables = conditions.get("condition")
-    if set(conditions) != {"condition"} or not isinstance(tables, list) or not tables:
+    tables: Any = conditions.get("condition")
+    listed = isinstance(tables, list) and all(isinstance(table, Mapping) for table in tables)
+    if set(conditions) != {"condition"} or not listed or not tables:
         raise DataError(f"{where} must hold tables [[condition]] and nothing else")
     for number, table in enumerate(tables, 1):
-        _check(table, f"{where}, condition {number}")
-    return tables
+        _check(table, f"{where}, condition {number}", held)
+    return list(tables)
 
 
-def _check(table: Any, where: str) -> None:
-    if not isinstance(table, Mapping):
-        raise DataError(f"{where} must be a table")
+def _check(table: Mapping[str, Any], where: str, held: set[str]) -> None:
+    """Check one table; `held` are the kinds of effects in the survey."""
     unknown = [key for key in table if key not in (*_TESTS, *_WORDS)]
     tests = [key for key in table if key in _TESTS]
     if unknown or len(tests) != 1:
         said = f"no key {unknown[0]!r}" if unknown else f"{len(tests)} tests"
         raise DataError(f"{where}: {said}; one of {', '.join(_TESTS)}, and any of {', '.join(_WORDS)}")
-    [test] = tests
     for key, value in table.items():
-        text = key in ("name", "effect", "place", "machine")
-        words = key == "verdict" and (isinstance(value, str) or _are_texts(value))
-        number = not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
-        if not (isinstance(value, str) if text else words if key == "verdict" else number):
-            raise DataError(f"{where}: {key} must be {'text' if text or key == 'verdict' else 'a number'}")
-    if "share" in table and test != "verdict":
+        _check_value(key, value, where)
+    if "share" in table and tests != ["verdict"]:
         raise DataError(f"{where}: share goes with verdict alone")
-    if "effect" in table and table["effect"] not in KINDS:
-        raise DataError(f"{where}: no effect is called {table['effect']!r}; there are {', '.join(KINDS)}")
+    if "effect" in table and table["effect"] not in held:
+        try:
+            Effect(table["effect"], "any place")
+        except ct.ControlArgument as error:
+            raise DataError(f"{where}: {error}") from error
 
 
-def _are_texts(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(word, str) for word in value)
+def _check_value(key: str, value: Any, where: str) -> None:
+    """Check that a key holds text or a number, as it must."""
+    if key in _WORDS[:-1] or key == "verdict":  # of verdicts there may be several
+        words = value if key == "verdict" and isinstance(value, list) else [value]
+        fine, what = all(isinstance(word, str) for word in words), "text"
+    else:
+        fine = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        what = "a number"
+    if not fine:
+        raise DataError(f"{where}: {key} must be {what}")

@@ -18,17 +18,16 @@ from typing import Any
 
 import control as ct
 
-from rcorefine import Effect, Measurement, Refinement
+from rcorefine import Effect, Measurement, Refinement, physical, read_model, read_record
 
 from ..arguments import as_path, shown
-from ..data.channels import SUFFIXES, read_record
 from ..exceptions import DataError, ModelError
-from ..models.conversion import as_physical
-from ..models.reading import read_model
 from .comparison import SurveyRow
 from .tasks import TASKS, estimate_again
 
+#: Files of a folder that are taken for models, and for records.
 _MODELS = (".toml", ".npz", ".mat")
+_RECORDS = (".csv", ".tsv", ".txt", ".lvm", ".log", ".mat", ".npz", ".h5", ".hdf5")
 _PREFIX = "rcorefine."
 
 
@@ -87,7 +86,7 @@ def _model_in(path: Path, _: int) -> Any:
 
     The cache helps because a worker has many records of one machine.
     """
-    return as_physical(read_model(path))
+    return physical(read_model(path))
 
 
 def examine(pieces: tuple[Piece, ...]) -> list[SurveyRow]:
@@ -164,7 +163,7 @@ def pieces_of(
 def _machines(records: Any) -> dict[str, list[Any]]:
     """Records or paths of each machine."""
     if isinstance(records, str | PathLike):
-        found: dict[str, list[Any]] = _in_folder(as_path(records, "records"), SUFFIXES)
+        found: dict[str, list[Any]] = _in_folder(as_path(records, "records"), _RECORDS)
     elif isinstance(records, Mapping):
         found = {
             _name(machine, "records"): list(_listed(machine, value)) for machine, value in records.items()
@@ -252,7 +251,7 @@ def _model(model: Any, name: str) -> Any:
     if isinstance(model, Refinement):
         return model
     try:
-        return as_physical(model)
+        return physical(model)
     except (ct.ControlArgument, ModelError) as error:
         raise type(error)(f"{name}: {error}") from error
 

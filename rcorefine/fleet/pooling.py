@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from ..systems.linear import Array
+from ..arguments import Array
 
 #: Machines from which on one can be told from the others: three that it is compared with.
 LEAST = 4

@@ -10,10 +10,9 @@ from typing import Any
 
 import control as ct
 
-from rcorefine import Effect, diagnose, improve, localize_damage, refine
+from rcorefine import Effect, diagnose, improve, localize_damage, read_record, refine
 
 from ..arguments import as_choice, as_mapping, as_share
-from ..data.channels import read_record
 from ..progress import Progress
 from .comparison import SurveyRow, fleet_effects, trends
 from .executing import as_submitter, work_off
@@ -130,6 +129,9 @@ def survey(
     submitter = as_submitter(executor)
     rows: dict[int, SurveyRow] = {}
 
+    def lost(piece: Piece, error: BaseException) -> SurveyRow:
+        return piece.failed(f"the worker was lost, {type(error).__name__}: {error}")
+
     def so_far(notes: Sequence[str] = ()) -> Survey:
         found = tuple(rows[i] for i in sorted(rows))
         fleet, courses = fleet_effects(found, significance), trends(found, significance)
@@ -139,14 +141,16 @@ def survey(
         with Progress(progress) as bar, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with bar.counted(len(pieces), "records") as done:
-                work_off(examine, pieces, submitter, rows, _lost, done)
+                work_off(examine, pieces, submitter, rows, lost, done)
             notes: list[str] = []
             if effects == "common" and task in ("diagnose", "improve"):
                 wanted, notes = _of_the_fleet([rows[i] for i in sorted(rows)])
                 lacking = {i: (pieces[i], rows[i], wanted) for i in _lacking(rows, wanted)}
                 compared: dict[int, SurveyRow] = {}
                 with bar.counted(len(lacking), "comparing the same effects") as done:
-                    work_off(again, list(lacking.values()), submitter, compared, _not_compared, done)
+                    work_off(
+                        again, list(lacking.values()), submitter, compared, lambda task, _: task[1], done
+                    )
                 rows |= {i: compared[k] for k, i in enumerate(lacking)}
         return so_far(notes)
     except KeyboardInterrupt as stop:
@@ -174,12 +178,9 @@ def _of_the_fleet(rows: Sequence[SurveyRow]) -> tuple[tuple[Effect, ...], list[s
 
     The second result holds a note on effects that are left out.
     """
-    counts: Counter[Effect] = Counter()
-    first: dict[tuple[str, str], Effect] = {}
-    for row in rows:
-        for effect in row.effects:
-            counts[first.setdefault((effect.kind, effect.place), effect)] += 1
-    named = [effect for effect, _ in counts.most_common()]
+    found = [effect for row in rows for effect in row.effects]
+    first = {effect.key: effect for effect in reversed(found)}
+    named = [first[key] for key, _ in Counter(effect.key for effect in found).most_common()]
     rest = ", ".join(effect.label for effect in named[_MOST:])
     notes = [f"Compared only in the records in which they were found: {rest}."] if rest else []
     return tuple(named[:_MOST]), notes
@@ -187,22 +188,10 @@ def _of_the_fleet(rows: Sequence[SurveyRow]) -> tuple[tuple[Effect, ...], list[s
 
 def _lacking(rows: Mapping[int, SurveyRow], wanted: Sequence[Effect]) -> list[int]:
     """Records that were fitted with other effects than all of the fleet's."""
-    keys = {(effect.kind, effect.place) for effect in wanted}
+    keys = {effect.key for effect in wanted}
     return [
         i
         for i, row in sorted(rows.items())
         if keys and row.error is None and row.verdict != "unexplained"
-        and {(effect.kind, effect.place) for effect in row.effects} != keys
+        and {effect.key for effect in row.effects} != keys
     ]  # fmt: skip
-
-
-def _lost(piece: Piece, error: BaseException) -> SurveyRow:
-    return piece.failed(f"the worker was lost, {type(error).__name__}: {error}")
-
-
-def _not_compared(task: tuple[Piece, SurveyRow, Any], error: BaseException) -> SurveyRow:
-    """Return the row unchanged after its worker was lost.
-
-    The worker was estimating the effects of the other records.
-    """
-    return task[1]

@@ -19,35 +19,30 @@ from rcorefine import (
 
 from .comparison import Estimate
 
-_Leading = tuple[str | None, str | None]  # kind and place of an effect
-
 
 def _found(
     verdict: str,
-    leading: _Leading = (None, None),
+    sentences: Sequence[str],
     estimates: tuple[Estimate, ...] = (),
     effects: tuple[Effect, ...] = (),
-    sentences: Sequence[str] = (),
-    probability: float | None = None,
+    *,
+    leading: Any = None,
     shown: tuple[Estimate, ...] = (),
+    **more: Any,
 ) -> dict[str, Any]:
     """Return the fields of a `SurveyRow`.
 
-    `shown` are estimates of the leading effect that do not enter the comparison.
+    `leading` has the kind and the place of the leading effect. `shown` are estimates of it that do not enter
+    the comparison.
     """
-    first = next((e for e in (*estimates, *shown) if (e.kind, e.place) == leading), None)
+    if leading is not None:
+        more |= {"effect": leading.kind, "place": leading.place}
+        own = (e for e in (*estimates, *shown) if (e.kind, e.place) == (leading.kind, leading.place))
+        first = next(own, None)
+        more |= {} if first is None else {"coefficient": first.value, "std": first.std, "unit": first.unit}
     return {
-        "verdict": verdict,
-        "effect": leading[0],
-        "place": leading[1],
-        "coefficient": None if first is None else first.value,
-        "std": None if first is None else first.std,
-        "unit": "" if first is None else first.unit,
-        "probability": probability,
-        "estimates": estimates,
-        "effects": effects,
-        "sentences": tuple(sentences),
-    }
+        "verdict": verdict, "sentences": tuple(sentences), "estimates": estimates, "effects": effects, **more
+    }  # fmt: skip
 
 
 def _diagnosed(model: Any, data: Measurement, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -59,23 +54,21 @@ def _diagnosed(model: Any, data: Measurement, options: Mapping[str, Any]) -> dic
     best, said = found.best, found.sentences()
     if found.verdict == "parameters":
         assert found.floated is not None
-        return _found(found.verdict, estimates=_estimates(found.floated.parameters, "linear"), sentences=said)
+        return _found(found.verdict, said, _estimates(found.floated.parameters, "linear"))
     if best is None or found.verdict == "unexplained":
-        return _found(found.verdict, (None, found.place), sentences=said)
-    leading = (best.effect.kind, best.effect.place)
-    rows = _estimates(best.refinement.parameters, "effect", [(e.kind, e.place) for e in best.effects])
-    probability = float(best.probability) if math.isfinite(best.probability) else None
-    if found.verdict == "effect":
-        return _found(found.verdict, leading, rows, best.effects, said, probability)
-    return _found(found.verdict, leading, sentences=said, probability=probability, shown=rows)
+        return _found(found.verdict, said, place=found.place)
+    rows = _estimates(best.refinement.parameters, "effect", best.effects)
+    known: dict[str, Any] = {"leading": best.effect, "shown": rows}
+    known["probability"] = float(best.probability) if math.isfinite(best.probability) else None
+    alone = (rows, best.effects) if found.verdict == "effect" else ()
+    return _found(found.verdict, said, *alone, **known)
 
 
 def _improved(model: Any, data: Measurement, options: Mapping[str, Any]) -> dict[str, Any]:
     """The effects of the last model, the surest first."""
     found = improve(model, data, **options)
-    wanted = [(e.kind, e.place) for e in found.effects]
-    rows = _estimates(found.refinement.parameters, "effect", wanted)
-    return _found(found.verdict, _surest(rows), rows, found.effects, found.sentences())
+    rows = _estimates(found.refinement.parameters, "effect", found.effects)
+    return _found(found.verdict, found.sentences(), rows, found.effects, leading=_surest(rows))
 
 
 def _localized(model: Any, data: Measurement, options: Mapping[str, Any]) -> dict[str, Any]:
@@ -86,19 +79,18 @@ def _localized(model: Any, data: Measurement, options: Mapping[str, Any]) -> dic
         for row in found.rows
         if _usable(row.joint, row.joint_std)
     )
-    leading = (found.named[0].kind, found.named[0].place) if found.named else (None, None)
+    leading = found.named[0] if found.named else None
     verdict = ("changed" if found.named else "unchanged") if found.explained else "unexplained"
-    return _found(verdict, leading, rows, found.effects, [found.message])
+    return _found(verdict, [found.message], rows, found.effects, leading=leading)
 
 
 def _refined(model: Any, data: Measurement, options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the effects and parameters that `refine` fitted."""
     found = refine(model, data, **options)
-    wanted = {(e.kind, e.place) for e in found.effects}
-    rows = _estimates(found.parameters, "effect", wanted) + _estimates(found.parameters, "linear")
+    rows = _estimates(found.parameters, "effect") + _estimates(found.parameters, "linear")
     effects = tuple(e for e, role in zip(found.effects, found.roles, strict=True) if role == "effect")
-    verdict = "fitted" if found.success else "doubtful"
-    return _found(verdict, _surest(rows), rows, effects, [found.message, *found.warnings])
+    verdict, said = "fitted" if found.success else "doubtful", [found.message, *found.warnings]
+    return _found(verdict, said, rows, effects, leading=_surest(rows))
 
 
 #: What a survey can ask of every record.
@@ -135,19 +127,21 @@ def estimate_again(
     dict
         "estimates": empty where the fit came to no end that means anything.
     """
-    held = {(e.kind, e.place) for e in getattr(model, "effects", ())}
+    held = {e.key for e in getattr(model, "effects", ())}
     settings = {name: options[name] for name in _OF_FIT if name in options}
     settings |= {"free": "linear"} if floats else {}
-    found: Refinement = refine(model, data, [e for e in effects if (e.kind, e.place) not in held], **settings)
-    wanted = {(e.kind, e.place) for e in effects}
-    return {"estimates": _estimates(found.parameters, "effect", wanted) if found.success else ()}
+    found: Refinement = refine(model, data, [e for e in effects if e.key not in held], **settings)
+    return {"estimates": _estimates(found.parameters, "effect", effects) if found.success else ()}
 
 
-def _estimates(rows: Sequence[EstimatedParameter], role: str, wanted: Any = None) -> tuple[Estimate, ...]:
+def _estimates(
+    rows: Sequence[EstimatedParameter], role: str, effects: Sequence[Effect] | None = None
+) -> tuple[Estimate, ...]:
     """Return the coefficients of one role that the record determines.
 
-    If `wanted` is given, only the coefficients of its effects are returned.
+    If `effects` are given, only their coefficients are returned.
     """
+    wanted = None if effects is None else {(e.kind, e.place) for e in effects}
     return tuple(
         Estimate(row.kind, row.place, row.name, float(row.coefficient), float(row.std), row.unit)
         for row in rows
@@ -161,6 +155,5 @@ def _usable(value: float, std: float) -> bool:
     return math.isfinite(value) and math.isfinite(std) and std > 0
 
 
-def _surest(rows: Sequence[Estimate]) -> _Leading:
-    best = max(rows, key=lambda e: abs(e.value) / e.std, default=None)
-    return (None, None) if best is None else (best.kind, best.place)
+def _surest(rows: Sequence[Estimate]) -> Estimate | None:
+    return max(rows, key=lambda e: abs(e.value) / e.std, default=None)

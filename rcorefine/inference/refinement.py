@@ -20,7 +20,7 @@ from ..engine.structure import Structure
 from ..exceptions import ModelError
 from ..export.programs import CodeExports
 from ..models.physical_model import PhysicalModel
-from ..results import Options, ReportedModel, picture, show
+from ..results import Options, ReportedModel, picture, show, views
 from ..systems.linear import Array
 from .parameters import EstimatedParameter
 
@@ -361,6 +361,25 @@ class Refinement(ReportedModel, CodeExports):
             # normal distribution of the estimates, clipped to the bounds
             points[:, known] += rng.multivariate_normal(np.zeros(len(C)), C, size=count, check_valid="ignore")
         return [structure.system(point) for point in np.clip(points, lower, upper)]
+
+    def script(self, data: Measurement | None = None, *, horizon: float | None = None) -> str:
+        """Return a Python program that makes this refinement again.
+
+        It defines the initial model, reads the record from a file, and fits the effects from their present
+        values; what is held in them stays held.
+
+        Parameters
+        ----------
+        data : Measurement or FrequencyResponse, optional
+            Record, whose signals the program verifies.
+        horizon : float, optional
+            Length in s of the free runs, as it was given to `refine`.
+
+        Returns
+        -------
+        str
+        """
+        return str(views().refinement_script(self, data, horizon))
 
     # ------------------------------------------------------------------ in words
     @property

@@ -170,6 +170,16 @@ def zero_entries(physical: PhysicalModel) -> list[Effect]:
     return [Effect(Entry.name, place) for place in places] if len(places) <= _MOST_ENTRIES else []
 
 
+def candidates_of(physical: PhysicalModel) -> list[Effect]:
+    """Return the candidate effects and the possible faults of a record.
+
+    Entries of B, C and D that are zero are candidates, too. A fault concerns a record as a whole.
+    """
+    inputs = physical.linear.input_labels[:1]  # such a fault is the same at all of them
+    faults = [Effect(law.name, place) for law in KINDS.values() if law.of_record for place in inputs]
+    return [*effect_library(physical), *zero_entries(physical), *faults]
+
+
 def describe_effects(effects: Any) -> str:
     """Return effects as a table of at most 80 columns.
 

@@ -13,9 +13,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ..arguments import as_choice, as_path, as_text, as_texts, as_vector
-from ..data.formats import damaged, read_uff_modes
+from ..data.formats import read_uff_modes
 from ..exceptions import ConversionWarning, DataError, ModelError, warn
 from ..systems.linear import Array
+from ..writing import damaged
 
 _SENSORS = ("displacement", "velocity", "acceleration")
 _NORMAL, _COMPLEX = 2, (3, 7)  # codes of the analysis in data sets of type 55

@@ -19,7 +19,6 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_mapping, as_path
-from ..data.formats import damaged
 from ..effects.effect import ARGUMENTS, Effect, import_path, law_here
 from ..effects.given import Custom, Table
 from ..exceptions import DataError, ModelError
@@ -27,7 +26,7 @@ from ..models.parameters import NominalParameter
 from ..models.physical_model import PhysicalModel
 from ..models.ports import Port
 from ..systems.linear import LinearModel
-from ..writing import read_archive, replacing
+from ..writing import damaged, read_archive, replacing
 
 SCHEMA = 1  # of the file; raised when an older reader could misread it
 _META = "meta"

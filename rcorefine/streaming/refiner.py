@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import as_flag
-from ..data.formats import damaged
 from ..data.measurement import Measurement
 from ..exceptions import RCOError
 from ..progress import Progress
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array, LinearModel
+from ..writing import damaged
 from .history import CoefficientHistory, History, Summary
 from .joint import assembled
 from .locks import alone, own_lock

@@ -5,8 +5,9 @@
 
 from . import damage_map, diagnosis, measurement, models, reports, streaming, survey  # noqa: F401
 from .bode import bode_comparison
-from .content import as_html, as_text, draw, report
+from .content import as_html, as_text, content, draw, report
 from .data import as_dict, as_frame
+from .reports import refinement_script
 from .tables import html_table, text_table
 
 __all__ = [
@@ -15,8 +16,10 @@ __all__ = [
     "as_html",
     "as_text",
     "bode_comparison",
+    "content",
     "draw",
     "html_table",
+    "refinement_script",
     "report",
     "text_table",
 ]

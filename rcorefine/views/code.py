@@ -259,13 +259,15 @@ def script(*blocks: Sequence[str]) -> str:
     return "\n\n".join([*heads, body]) + "\n"
 
 
-def refinement_code(refinement: Refinement) -> list[str]:
+def refinement_code(refinement: Refinement, horizon: float | None = None) -> list[str]:
     """Lines that fit a refinement again, from its own estimates.
 
     Parameters
     ----------
     refinement : Refinement
         What was found.
+    horizon : float, optional
+        Length of the free runs.
 
     Returns
     -------
@@ -280,7 +282,7 @@ def refinement_code(refinement: Refinement) -> list[str]:
             asked.append(effect.replace(start=found))
         elif role == "linear":
             floating.append(effect)
-    options = {"offset": "offset" in refinement.roles, "free": floating}
+    options = {"offset": "offset" in refinement.roles, "free": floating, "horizon": horizon}
     said = "# the linear parameters below were re-estimated; give tolerance= too if you gave it"
     return [
         *([said] if floating else []),

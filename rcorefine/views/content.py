@@ -19,8 +19,9 @@ from ..diagnosis.result import RankedEffect, Step
 from ..inference.f_tests import FTest
 from ..inference.parameters import EstimatedParameter
 from ..results import OPTIONS
+from ..writing import check_target
 from .figures import Frame, spell_out
-from .page import Page, check_target, write_page
+from .page import Page, write_page
 from .tables import TextTable, wrapped
 
 

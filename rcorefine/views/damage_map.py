@@ -51,7 +51,9 @@ def damage_content(result: DamageMap) -> Content:
     headers = ["scenario", "changes [%]", "fit [%]", "BIC - best", "probability"]
     if scenarios:
         tables.append(TextTable(headers, scenarios, "Scenarios, the most probable first", left=2))
-    return Content(tables=tables, pictures={"plot": plot_damage})
+    named = [f"{row.kind} at {row.place}: {row.percent:.3g} %" for row in result.named]
+    answer = [*named, result.message], not named
+    return Content(tables=tables, answer=lambda: answer, pictures={"plot": plot_damage})
 
 
 def _sentences(result: DamageMap) -> list[str]:

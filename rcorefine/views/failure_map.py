@@ -18,9 +18,6 @@ from .content import Content, content, fields
 from .figures import BAND, MEASURED, Frame, log_labels, plain, style, trace, unit_text
 from .tables import TextTable, cells, clip
 
-#: Signs of what a row is beside the others.
-ROLES = {"first": "1", "besides": "+", "instead": "="}
-
 
 @content.register
 def map_content(found: FailureMap) -> Content:
@@ -40,7 +37,7 @@ def failure_table(found: FailureMap, *, full: bool = False) -> TextTable:
         figures = cells(row, "dimension where measure" + " statistic:.3g" * full)
         rows.append(
             [
-                ROLES[row.role],
+                row.mark,
                 *figures,
                 f"{100 * row.share:{'.3g' if full else '.0f'}} %",
                 chance(row.p_value),

@@ -154,6 +154,7 @@ def check_content(found: Check) -> Content:
     return Content(
         above=looks or ["No problem found: the record and the model can be compared."],
         tables=[TextTable(_HEADERS, _rows(found.rows), left=4)],
+        answer=lambda: ([row.sentence for row in found.looks], not found.stops),
         below=[row.sentence for row in found.rows if row.what == "information" and row not in found.looks],
     )
 

@@ -6,7 +6,6 @@ All text in it is escaped.
 from __future__ import annotations
 
 import base64
-import contextlib
 import hashlib
 import io
 import platform
@@ -27,13 +26,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.gridspec import GridSpec
 from matplotlib.text import Text
 
-from ..arguments import as_flag, as_path, as_text
 from ..data.frequency_response import FrequencyResponse
 from ..exceptions import DataError
 from ..jit import NUMBA
 from ..systems.linear import Array
 from ..version import __version__
-from ..writing import replacing
+from ..writing import REPORT, check_target, replacing
 from .tables import TextTable, number
 
 #: Pictures are drawn dark on white. In the dark they are inverted and their hues turned back, so that
@@ -117,7 +115,6 @@ footer { margin-top: 2.6rem; color: var(--soft); font-size: .88rem; }
 """
 
 
-_GENERATOR = '<meta name="generator" content="rcorefine'
 # the browser itself refuses whatever would leave the page
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
@@ -218,7 +215,7 @@ class Page:
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
             '<meta name="color-scheme" content="light dark">\n'
             f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
-            f'{_GENERATOR} {escape(__version__)}">\n<link rel="icon" href="data:,">\n'
+            f'{REPORT} {escape(__version__)}">\n<link rel="icon" href="data:,">\n'
             f"<title>{escape(self.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"
             f'<header><h1>{escape(self.title)}</h1><p class="about">{escape(self.about)}</p></header>\n'
             f'<section class="answer {"fine" if self.fine else "found"}" aria-label="The answer">'
@@ -267,68 +264,14 @@ def write_page(page: Page, path: str | PathLike[str], *, overwrite: bool = False
 
     Raises
     ------
-    FileNotFoundError
-        If the folder does not exist.
-    FileExistsError
-        If a file is there that is no report of rcorefine.
-    IsADirectoryError
-        If `path` is a folder.
+    FileNotFoundError, FileExistsError, IsADirectoryError
+        As `check_target`.
     """
     target = check_target(path, overwrite=overwrite)
     # names may hold what no text can (lone surrogates); it is shown as an escape
     content = page.html().encode("utf-8", errors="backslashreplace")
     with replacing(target) as stream:
         stream.write(content)
-    return target
-
-
-def check_target(
-    path: str | PathLike[str],
-    *,
-    title: str | None = None,
-    code: str | None = None,
-    overwrite: bool = False,
-) -> Path:
-    """Absolute path of a report to be written; raises where that must not be.
-
-    Parameters
-    ----------
-    path : str or path
-        File to write.
-    title, code : str, optional
-        What it is to say, checked with it before the work begins.
-    overwrite : bool
-        Whether any file there may be replaced.
-
-    Returns
-    -------
-    Path
-        Absolute.
-
-    Raises
-    ------
-    FileNotFoundError, FileExistsError, IsADirectoryError
-        As `write_page`.
-    """
-    for name, text in (("title", title), ("code", code)):
-        if text is not None:
-            as_text(text, name)
-    as_flag(overwrite, "overwrite")
-    target = as_path(path)
-    with contextlib.suppress(RuntimeError):  # a tilde that is nobody's home is a name like any other
-        target = target.expanduser()
-    target = target.absolute()
-    if target.is_dir():
-        raise IsADirectoryError(f"{target} is a folder; give the name of a file in it, such as report.html")
-    if not target.parent.is_dir():
-        raise FileNotFoundError(f"the folder {target.parent} does not exist; make it first")
-    if target.is_file() and not overwrite:
-        with target.open("rb") as file:
-            head = file.read(2000)
-        if head and _GENERATOR.encode() not in head:  # an empty file holds nothing to lose
-            raise FileExistsError(
-                f"{target} exists and is no report of rcorefine; choose another name or say overwrite=True"
-            )
     return target
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..comparison.compare import compare
 from ..comparison.responses import FrequencyComparison
-from ..comparison.result import Comparison, best_of, failures_of
+from ..comparison.result import Comparison, failures_of
 from ..data.measurement import Measurement
 from ..data.records import stretches_by_level
 from ..diagnosis.check_rows import warned
@@ -382,12 +382,17 @@ def _beside_record(page: Page, models: tuple[Any, Refinement], data: Any) -> Pag
             "initial model has none); the vertical line is the initial model."
         )
         drawn.append(("parameters", partial(parameter_plot, last), said))
-    code = script(
-        ["# the initial model", *model_code(last.physical_model)],
-        record_code(records) if records else ["data = ...  # your record"],
-        [*refinement_code(last), "print(better)"],
-    )
+    code = refinement_script(last, data)
     return replace(page, about=about, pictures=drawn, tables=tables, code=code, records=records)
+
+
+def refinement_script(refinement: Refinement, data: Any, horizon: float | None = None) -> str:
+    """Return a program that repeats a refinement; see `Refinement.script`."""
+    return script(
+        ["# the initial model", *model_code(refinement.physical_model)],
+        ["data = ...  # your record"] if data is None else record_code([data]),
+        [*refinement_code(refinement, horizon), "print(better)"],
+    )
 
 
 def _bode_picture(refinement: Refinement, data: Measurement | None) -> Picture:
@@ -412,7 +417,7 @@ def _bode_picture(refinement: Refinement, data: Measurement | None) -> Picture:
 # ------------------------------------------------------------------ answers
 def _comparison_answer(result: Comparison) -> tuple[list[str], bool]:
     """Answer how well the models fit, where they fail, and what to do."""
-    fits, data, best = np.atleast_2d(result.fit), result.data, best_of(result)
+    fits, data, best = np.atleast_2d(result.fit), result.data, result.best
     name, ahead = result.names[best], "One sample ahead, " if result.led else ""
     if np.isnan(fits).all():
         first = f"The measured output of {data.name} is constant, so there is nothing to explain."

@@ -18,9 +18,10 @@ from ..exercises.exercise import Exercise, Grades
 from ..fleet.comparison import FleetEffect, SurveyRow
 from ..fleet.result import Survey
 from ..results import chance, counted, with_error
+from ..writing import check_target
 from .content import Content, content, fields, report
 from .figures import BAND, Frame, plain, style, unit_text
-from .page import Page, check_target, links, paragraphs, write_page
+from .page import Page, links, paragraphs, write_page
 from .tables import TextTable, cells, number
 
 _SHOWN = 12  # rows of the text; the others are counted

@@ -10,7 +10,7 @@ import control as ct
 import numpy as np
 import pytest
 import scipy.io
-from inner import main, read_model
+from inner import main
 
 import rcorefine as rco
 from rcorefine import DataError, Measurement, ModelError
@@ -73,10 +73,10 @@ SAMPLES = {
     "record.mat": (lambda: saved(scipy.io.savemat, columns()), MAT),
     "packed.mat": (lambda: saved(lambda s, c: scipy.io.savemat(s, c, do_compression=True), columns()), MAT),
     "old.mat": (lambda: saved(lambda s, c: scipy.io.savemat(s, c, format="4"), columns()), MAT),
-    "model.toml": (TOML.encode, read_model),
-    "table.toml": (TABLE.encode, read_model),
-    "model.npz": (lambda: saved(lambda s, c: np.savez(s, **c), arrays_of_model()), read_model),
-    "model.mat": (lambda: saved(scipy.io.savemat, arrays_of_model()), read_model),
+    "model.toml": (TOML.encode, rco.read_model),
+    "table.toml": (TABLE.encode, rco.read_model),
+    "model.npz": (lambda: saved(lambda s, c: np.savez(s, **c), arrays_of_model()), rco.read_model),
+    "model.mat": (lambda: saved(scipy.io.savemat, arrays_of_model()), rco.read_model),
 }
 
 
@@ -201,7 +201,7 @@ def test_model_files_that_are_wrong(tmp_path, text, message):
     path = tmp_path / "wrong.toml"
     path.write_text(text)
     with pytest.raises(ModelError, match=r"wrong\.toml") as caught:
-        read_model(path)
+        rco.read_model(path)
     assert message in str(caught.value)
 
 
@@ -209,7 +209,7 @@ def test_a_dot_in_the_name_of_a_model_file(tmp_path, monkeypatch, capsys):
     """`rocket.2.1.toml` is a file like any other, also in the terminal."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "rocket.2.1.toml").write_text(TOML)
-    assert read_model(tmp_path / "rocket.2.1.toml").name == "rocket_2_1"
+    assert rco.read_model(tmp_path / "rocket.2.1.toml").name == "rocket_2_1"
     found = columns(400)
     (tmp_path / "run.1.csv").write_text(csv_text(found))
     words = ["--input", "volt", "--output", "speed"]
@@ -225,11 +225,11 @@ def test_large_models_are_refused_with_the_limit_and_others_are_fast(tmp_path):
         )
         if masses == 3000:
             with pytest.raises(ModelError, match="6000 states; from a file at most 1000"):
-                read_model(path)
-    assert read_model(path).linear.n_states == 800
+                rco.read_model(path)
+    assert rco.read_model(path).linear.n_states == 800
     np.savez(tmp_path / "large.npz", A=np.eye(1001), B=np.ones((1001, 1)), C=np.ones((1, 1001)))
     with pytest.raises(ModelError, match="at most 1000"):
-        read_model(tmp_path / "large.npz")
+        rco.read_model(tmp_path / "large.npz")
 
 
 # ---------------------------------------------------------------------- arrays
@@ -267,7 +267,7 @@ def test_npz_that_unfolds_to_gigabytes_is_refused(tmp_path):
 def test_fortran_order_and_other_types_come_through(tmp_path):
     A = np.asfortranarray(np.arange(4, dtype=np.int16).reshape(2, 2))
     np.savez(tmp_path / "m.npz", A=A, B=np.ones((2, 1), dtype=bool), C=np.ones((1, 2), ">f4"), inputs="ü")
-    system = read_model(tmp_path / "m.npz")
+    system = rco.read_model(tmp_path / "m.npz")
     np.testing.assert_array_equal(system.A, A)
     assert system.input_labels == ["ü"]
 
@@ -282,7 +282,7 @@ def test_complex_matrices_are_refused(tmp_path, suffix):
     else:
         scipy.io.savemat(path, arrays)
     with pytest.raises(ModelError, match="A is complex"):
-        read_model(path)
+        rco.read_model(path)
 
 
 # ---------------------------------------------------------------------- MATLAB

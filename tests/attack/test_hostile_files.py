@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 import scipy.io
 import test_damaged_files as plain
-from inner import read_model
 
 import rcorefine as rco
 from rcorefine import DataError, Measurement
@@ -197,8 +196,7 @@ def grown(code, *words):
 import resource, sys
 import numpy as np
 import rcorefine as rco
-from rcorefine.models.reading import read_model
-rco.Measurement, rco.RCORefiner, rco.DataError, read_model
+rco.Measurement, rco.RCORefiner, rco.DataError, rco.read_model
 def most():
     both = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
     return max(resource.getrusage(who).ru_maxrss for who in both) / 1024
@@ -242,7 +240,7 @@ def test_archives_that_unfold_to_hundreds_of_megabytes(tmp_path):
     bomb(tmp_path / "m.npz", "ABC", 300 << 20)
     for code in (
         "rco.Measurement.from_npz(sys.argv[1] + '/a.npz', 'u', 'y', dt=0.1)",
-        "read_model(sys.argv[1] + '/m.npz')",
+        "rco.read_model(sys.argv[1] + '/m.npz')",
         "rco.RCORefiner.load(sys.argv[1] + '/a.npz')",
         "rco.Monitor.load(sys.argv[1] + '/a.npz')",
     ):
@@ -308,7 +306,7 @@ def test_paths_that_are_no_files(tmp_path):
             with pytest.raises((OSError, DataError)):
                 read(path, "u", "y", dt=0.1)
         with pytest.raises((OSError, rco.RCOError)):
-            read_model(path)
+            rco.read_model(path)
     for name in ("../a.npy", "/etc/passwd.npy", "a/../../u.npy"):  # nothing of an archive is unpacked
         with zipfile.ZipFile(tmp_path / "tricks.npz", "w") as archive:
             archive.writestr(name, plain.saved(np.save, np.ones(10)))
@@ -344,20 +342,20 @@ def test_a_matrix_file_with_a_zero_byte_ends_no_process(tmp_path):
         (tmp_path / "A.mtx").write_bytes(content)
         (tmp_path / "m.toml").write_text('[state_space]\nA = "A.mtx"\nB = [[0.0], [2.0]]\nC = [[1.0, 0.0]]\n')
         with pytest.raises(rco.ModelError, match=r"A\.mtx"):
-            read_model(tmp_path / "m.toml")
+            rco.read_model(tmp_path / "m.toml")
 
 
 def test_values_of_the_wrong_kind_are_errors_of_ours(tmp_path):
     path = tmp_path / "m.toml"
     path.write_text("[state_space]\nA = [[-1.0]]\nB = [[1.0]]\nC = [[1.0]]\ninputs = 5\n")
     with pytest.raises(rco.ModelError, match=r"inputs must be 1 name\(s\), not 5"):
-        read_model(path)
+        rco.read_model(path)
     np.save(tmp_path / "A.npy", [[-1.0]])
     header = (tmp_path / "A.npy").read_bytes().replace(b"(1, 1), }", b"(1, 1), S")
     (tmp_path / "A.npy").write_bytes(header)
     path.write_text('[state_space]\nA = "A.npy"\nB = [[1.0]]\nC = [[1.0]]\n')
     with pytest.raises(rco.ModelError, match=r"A\.npy holds no matrix"):
-        read_model(path)
+        rco.read_model(path)
     rows = dict.fromkeys(("inputs", "outputs"), np.zeros((1, 9)))
     for level in ("1e999", "[" * 100_000):
         about = f'{{"plant": "motor", "seals": [], "level": {level}}}'

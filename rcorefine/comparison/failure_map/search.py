@@ -78,6 +78,11 @@ class Failure(Row):
     role: str
     values: dict[str, Any]
 
+    @property
+    def mark(self) -> str:
+        """Sign of the role: 1 for the first, + for besides, = for instead."""
+        return {"first": "1", "besides": "+", "instead": "="}[self.role]
+
     def __str__(self) -> str:
         return f"{self.dimension}: {self.where}: {self.sentence}"
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ...arguments import as_number, as_text
-from ...data.formats import damaged
 from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...exceptions import ModelError
@@ -20,6 +19,7 @@ from ...inference.levels import levels
 from ...results import Options, Result, picture, show
 from ...systems.discretization import check_sampling_time
 from ...systems.linear import Array
+from ...writing import damaged
 from ..locks import alone, own_lock
 from ..persistence import read_file, write_file
 from ..samples import Block, as_missing, as_size, checked_block
