@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..engine.linear import recursion
 from ..exceptions import DataError, DivergenceError
@@ -24,7 +23,7 @@ from .coefficients.entries import MILESTONES
 from .coefficients.setup import CoefficientFilter, CoefficientSetup
 from .history import PARAMETERS, Summary
 from .persistence import check_like, storable
-from .samples import Block
+from .samples import Block, Flags
 
 INITIAL = "initial"
 _WILD = "!"  # after the name of a form: its model as it is, however fast it grows
@@ -75,7 +74,7 @@ class FilterBankMemory:
     frozen: tuple[Frozen, ...]
     inputs: Array
     outputs: Array
-    use: NDArray[np.uint8]
+    use: Flags
     scores: dict[str, float]
     chosen: tuple[str, bool]
     behind: dict[str, int]
@@ -109,17 +108,15 @@ class FilterBank:
         rate = growth(self._model)
         # an unstable initial model is simulated over short windows, each with a fitted initial state
         self._window = max(int(_WINDOW / rate), 8) if rate > 1e-6 else 0
+        outputs = np.zeros((0, self._model.n_outputs))
+        self._nothing = np.zeros((0, self._model.n_inputs)), outputs, outputs.astype(np.uint8)
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples."""
         for form in self.filters.values():
             form.reset()
-        model = self._model
-        self.memory = FilterBankMemory(
-            (), np.zeros((0, model.n_inputs)), np.zeros((0, model.n_outputs)),
-            np.zeros((0, model.n_outputs), np.uint8), {}, (INITIAL, False), {}, {}, 0, 0,
-        )  # fmt: skip
+        self.memory = FilterBankMemory((), *self._nothing, {}, (INITIAL, False), {}, {}, 0, 0)
 
     @property
     def n_samples(self) -> int:
@@ -221,11 +218,8 @@ class FilterBank:
             frozen.append(Frozen(name, calm, False))
             if calm is not model:
                 frozen.append(Frozen(name, model, True))
-        empty = slice(0, 0)
-        self.memory = replace(
-            self.memory, frozen=tuple(frozen), inputs=self.memory.inputs[empty].copy(),
-            outputs=self.memory.outputs[empty].copy(), use=self.memory.use[empty].copy(),
-        )  # fmt: skip
+        inputs, outputs, use = self._nothing
+        self.memory = replace(self.memory, frozen=tuple(frozen), inputs=inputs, outputs=outputs, use=use)
 
     def _compare_forms(self) -> tuple[tuple[str, bool], dict[str, float]]:
         """Which form predicted the present stretch best, and the scores of all."""
@@ -268,8 +262,6 @@ class FilterBank:
             return self._compare_forms()[0]
         return memory.chosen
 
-    waits = True  # single samples wait for one another: many forms learn from them
-
     @property
     def form(self) -> str:
         """Form that predicts best."""
@@ -280,12 +272,12 @@ class FilterBank:
         """Fit in % of each form's free run on the last stretch it had not seen."""
         return {name: float(100.0 * (1.0 - np.sqrt(s))) for name, s in self.memory.scores.items()}
 
-    def summary(self, model: LinearModel, stopped: str) -> Summary:
+    def summary(self, name: str) -> Summary:
         """Cells and sentences of `str`."""
         (form, grows), memory = self.chosen, self.memory
         part = self.filters[form]
         dt = part.setup.settings.dt
-        title = f"RCORefiner of {model.name!r}: form {form!r} of the static stage, dt = {dt:g} s"
+        title = f"RCORefiner of {name!r}: form {form!r} of the static stage, dt = {dt:g} s"
         notes = [f"{memory.n_samples} samples taken."]
         if memory.scores:
             shown = ", ".join(
@@ -303,8 +295,6 @@ class FilterBank:
         notes += [f"{name} {why}; it is no longer compared." for name, why in memory.stopped.items()]
         if form != INITIAL:
             notes += part.notes()
-        if stopped:
-            notes.append(stopped.split(";")[0] + "; the static stage does not need it.")
         return Summary(title, PARAMETERS, part.rows(), notes)
 
     @property
@@ -377,7 +367,7 @@ def _growth_limit(initial: LinearModel) -> float:
 
 
 def free_run_cost(
-    model: tuple[Array, ...], W: Array, Y: Array, use: NDArray[np.uint8], weights: Array, window: int
+    model: tuple[Array, ...], W: Array, Y: Array, use: Flags, weights: Array, window: int
 ) -> float:
     """Return the weighted mean square simulation error of a frozen model.
 

@@ -8,11 +8,11 @@ from typing import Unpack
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ..results import Options, picture, show
 from ..systems.linear import Array, LinearModel
+from .samples import Complex, Integers
 
 #: Headings of the table of parameters.
 PARAMETERS = ["parameter", "effect", "place", "initial", "value", "std", "unit"]
@@ -43,7 +43,7 @@ class History:
     pole_timepts : ndarray of shape (K,)
         Times in s, up to 200 of them, at which the poles are given.
     poles : complex ndarray of shape (n, K)
-        Poles of the refined model in rad/s (of a discrete one log(z) / dt) at these times.
+        Complex of the refined model in rad/s (of a discrete one log(z) / dt) at these times.
     """
 
     timepts: Array
@@ -57,7 +57,7 @@ class History:
     output_labels: tuple[str, ...]
     state_labels: tuple[str, ...]
     pole_timepts: Array = field(default_factory=lambda: np.zeros(0))
-    poles: NDArray[np.complex128] = field(default_factory=lambda: np.zeros((0, 0), complex))
+    poles: Complex = field(default_factory=lambda: np.zeros((0, 0), complex))
 
     @property
     def n_samples(self) -> int:
@@ -109,18 +109,18 @@ class History:
         return show(self, "plot", **options)
 
 
-def pole_samples(n_samples: int) -> NDArray[np.int64]:
+def pole_samples(n_samples: int) -> Integers:
     """Samples at which the poles are given."""
     # at most 200 samples, evenly spread
     return np.unique(np.linspace(0, max(n_samples - 1, 0), min(n_samples, _POINTS)).astype(np.int64))
 
 
-def poles_of(models: Sequence[LinearModel], dt: float | None) -> NDArray[np.complex128]:
+def poles_of(models: Sequence[LinearModel], dt: float | None) -> Complex:
     """Return the poles in rad/s, shape (n, K), in matching order.
 
     Each is matched to the nearest pole of the previous model. It is NaN where a model has none.
     """
-    found: list[NDArray[np.complex128]] = []
+    found: list[Complex] = []
     for model in models:
         poles = np.full(len(model.A), complex(np.nan, np.nan))
         if np.isfinite(model.A).all():
@@ -165,7 +165,7 @@ class CoefficientHistory:
     pole_timepts : ndarray of shape (K,)
         Times in s, up to 200 of them, at which the poles are given.
     poles : complex ndarray of shape (n, K)
-        Poles of the refined model in rad/s (of a discrete one log(z) / dt) at these times.
+        Complex of the refined model in rad/s (of a discrete one log(z) / dt) at these times.
     output_labels : tuple of str
         Names of the outputs.
     """
@@ -179,7 +179,7 @@ class CoefficientHistory:
     y: Array
     names: tuple[str, ...]
     pole_timepts: Array
-    poles: NDArray[np.complex128]
+    poles: Complex
     output_labels: tuple[str, ...]
 
     @property

@@ -26,9 +26,10 @@ from .coefficients.setup import CoefficientFilter, CoefficientSetup, FilterSetti
 from .filter_bank import FilterBank
 from .history import CoefficientHistory, Summary, joined, pole_samples, poles_of
 from .persistence import check_like
+from .rcmr.kernels import Plant
 from .rcmr.paper import PaperStages
-from .rcmr.setup import Scales, Settings, as_settings, correction_path, make_setup
-from .samples import Block, Sampled, as_size
+from .rcmr.setup import Scales, Settings, as_settings, correction_path, make_setup, markov_parameters
+from .samples import Block, Sampled, as_size, whole_block
 
 _PENDING = 32  # single samples that wait for one another (race, stage 1) until a result is asked for
 
@@ -61,12 +62,13 @@ class JointStages:
         silent: str,
     ) -> None:
         self._static, self.first, self.model, self.keep, self._silent = static, first, model, keep, silent
+        self._bank = isinstance(static, FilterBank)
         self.reset()
 
     def reset(self) -> None:
         """Forget all samples."""
+        # single samples that stage 1 has not seen; a bank has not learned them either
         self._waiting: list[Block] = []
-        self._behind: list[Block] = []  # the filter has learned these, stage 1 has not
         self._static.reset()
         if self.first is not None:
             self.first.reset()
@@ -88,7 +90,7 @@ class JointStages:
     @property
     def n_samples(self) -> int:
         """Samples taken."""
-        return self._static.n_samples + len(self._waiting)
+        return self._static.n_samples + self._bank * len(self._waiting)
 
     @property
     def n_learned(self) -> int:
@@ -97,31 +99,17 @@ class JointStages:
 
     def take(self, block: Block, *, keep_sound: bool = False) -> None:
         """Learn from a block: all of it or nothing."""
-        # a block is learned at once; single samples wait where several forms would learn from each
-        if len(block.inputs) > 1:
+        beside, single = self._runs_stage_one, len(block.inputs) == 1
+        if single and len(self._waiting) >= _PENDING:
+            self._flush()
+        # of single samples the many forms of a bank and stage 1 learn later, one filter learns at once; a gap
+        # needs a prediction for stage 1
+        if single and (self._bank or ((block.whole or not beside) and self._static.filter.one(block))):
+            if self._bank or beside:
+                self._waiting.append(block)
+        else:
             self._flush()
             self._learn(block)
-        elif self._static.waits:
-            if len(self._waiting) >= _PENDING:
-                self._flush()
-            self._waiting.append(block)
-        elif not self._take_single(block):
-            self._learn(block)
-
-    def _take_single(self, block: Block) -> bool:
-        """Learn from a single sample by the fast path, if that is available.
-
-        Otherwise do nothing and return False.
-        """
-        # stage 1 takes single samples in batches of 32
-        if len(self._behind) >= _PENDING:
-            self._catch_up()
-        # a gap needs a prediction for stage 1, so it takes the slow path
-        if (self._runs_stage_one and not block.whole) or not self._static.filter.one(block):
-            return False
-        if self._runs_stage_one:
-            self._behind.append(block)
-        return True
 
     @property
     def _runs_stage_one(self) -> bool:
@@ -131,19 +119,14 @@ class JointStages:
     def _flush(self) -> None:
         """Learn from the single samples that wait."""
         if self._waiting:
-            self._learn(Block.joined(self._waiting))
+            block = Block.joined(self._waiting)
+            if self._bank:
+                self._learn(block)
+            else:
+                self._run_stage_one(block, block.outputs)
             self._waiting = []
-        self._catch_up()
-
-    def _catch_up(self) -> None:
-        """Stage 1 on the samples that it has not seen."""
-        if self._behind:
-            block = Block.joined(self._behind)
-            self._run_stage_one(block, block.outputs)
-            self._behind = []
 
     def _learn(self, block: Block) -> None:
-        self._catch_up()
         beside = self._runs_stage_one
         # both stages or none: an error in one undoes the other
         with self._static.all_or_nothing():
@@ -162,7 +145,7 @@ class JointStages:
         if not block.whole:
             outputs = np.where(block.use > 0, outputs, np.where(np.isfinite(predicted), predicted, 0.0))
         try:
-            self.first.take_sound(block.inputs, outputs)
+            self.first.take(whole_block(block.inputs, outputs), keep_sound=True)
         # stage 1 may stop; the static stage goes on without it
         except RCOError as error:
             self.stopped = f"Stage 1 stopped: {error}"
@@ -246,7 +229,10 @@ class JointStages:
 
     def summary(self) -> Summary:
         """Cells and sentences of `str`."""
-        return self.static.summary(self.model, self.stopped)
+        found = self.static.summary(self.model.name)
+        if self.stopped:
+            found.notes.append(self.stopped.split(";")[0] + "; the static stage does not need it.")
+        return found
 
     def state(self) -> dict[str, Any]:
         """All that is remembered, for a file."""
@@ -257,7 +243,7 @@ class JointStages:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` gave."""
         check_like(state["stopped"], "", "stopped")
-        self._waiting, self._behind = [], []
+        self._waiting = []
         self._static.restore(state["static"])
         self.stopped = state["stopped"]
         if self.first is not None:
@@ -319,11 +305,18 @@ def response_deviation(center: LinearModel, around: Sequence[LinearModel], omega
 
 _STATIC = ("static_order", "static_window", "static_markov", "static_learning_rate", "static_average")
 _PAPERS = ("window", "markov", *_STATIC)
-_FILTERS = {"noise": None, "hold": "zoh", "disturbance": None, "forgetting": 1.0, "substeps": None}
+_FILTERS: dict[str, Any] = {
+    "noise": None,
+    "hold": "zoh",
+    "disturbance": None,
+    "forgetting": 1.0,
+    "substeps": None,
+}
 _DEFAULTS = {"window": 800, "markov": 20, "learning_rate": 1e5, "static_order": 0}
 _BESIDE = {**_DEFAULTS, "window": 100}  # stage 1 where it only runs beside: a short window costs less
 _INERT = Settings(order=0, window=1, markov=1, learning_rate=1e25)  # the static stage is the filter's
 _MOST = 150  # coefficients of a form that takes part in a race unasked
+_AVERAGE = 800  # samples that static coefficients are averaged over where no window is given
 
 
 def assembled(given: dict[str, Any], sampled: Sampled) -> PaperStages | JointStages:
@@ -339,46 +332,42 @@ def assembled(given: dict[str, Any], sampled: Sampled) -> PaperStages | JointSta
     static = given["static"]
     keep = as_flag(given["history"], "history")
     as_flag(given["use_estimated_states"], "use_estimated_states")
-    papers = [name for name in _PAPERS if given[name] is not None]
     # entries or effects by name, or a form of the correction
     listed = _named_items(static, given["effects"])
     if given["substeps"] is not None:
-        as_whole(given["substeps"], "substeps", least=1, error=ModelError)
-    n_outputs = sampled.initial.n_outputs
-    checked_settings(n_outputs, 1.0, *(given[n] for n in ("hold", "noise", "disturbance", "forgetting")))
+        given["substeps"] = as_whole(given["substeps"], "substeps", least=1, error=ModelError)
+    step = 1.0 if sampled.step is None else sampled.step
+    filters = (given[name] for name in ("hold", "noise", "disturbance", "forgetting"))
+    settings = checked_settings(sampled.initial.n_outputs, step, *filters)
     # settings of the paper select the paper's equations, for both stages
+    papers = [name for name in _PAPERS if given[name] is not None]
     if listed is None and static == "auto" and papers:
-        unused = [
-            name
-            for name, default in _FILTERS.items()
-            if (given[name] is not None if default is None else given[name] != default)
-        ]
-        if unused:
-            raise ct.ControlArgument(
-                f"{unused[0]} is a setting of the joint filter, {papers[0]} one of the paper's equations; "
-                "name effects=[...] or static=..., or leave one of the two out"
-            )
-        return _paper(given, sampled, keep)
+        return _paper(given, sampled, keep, papers[0])
     # otherwise a joint Kalman filter: settings of the paper's static stage do not apply
-    wrong = [name for name in _STATIC if given[name] is not None]
-    if wrong:
+    if wrong := [name for name in papers if name in _STATIC]:
         raise ct.ControlArgument(
             f"{wrong[0]} is a setting of the paper's static stage; leave it out, or static= and effects="
         )
     chosen: CoefficientFilter | FilterBank
     # named coefficients: one filter; a form: filters side by side, with the initial model
     if listed is not None:
-        chosen = CoefficientFilter(_named_setup(given, sampled, listed), keep)
+        chosen = CoefficientFilter(_named_setup(given, sampled, listed, settings), keep)
     else:
-        if given["substeps"] is not None:
-            raise ct.ControlArgument("substeps is a setting of nonlinear effects; give effects=[...]")
-        settings = _filter_settings(given, sampled)
-        chosen = FilterBank(
-            _forms(static, given, sampled, settings), no_entries(sampled.initial, settings), keep
-        )
+        _check_linear(given, "substeps is a setting of nonlinear effects; give effects=[...]")
+        forms = _forms(static, given, sampled, settings)
+        chosen = FilterBank(forms, no_entries(sampled.initial, settings), keep)
     # stage 1 of the paper beside it, with a short window
     first, silent = _stage_one(given, sampled, keep)
     return JointStages(chosen, first, sampled.initial, keep, silent)
+
+
+def _check_linear(given: dict[str, Any], message: str) -> None:
+    """Refuse substeps, and the other hold of a physical model: there are no nonlinear effects."""
+    if given["substeps"] is not None:
+        raise ct.ControlArgument(message)
+    physical = getattr(given["model"], "physical_model", given["model"])
+    if isinstance(physical, PhysicalModel):
+        check_stream_hold(physical, given["hold"])
 
 
 def _named_items(static: Any, effects: Any) -> list[Any] | None:
@@ -398,65 +387,45 @@ def _named_items(static: Any, effects: Any) -> list[Any] | None:
     return None
 
 
-def _paper(given: dict[str, Any], sampled: Sampled, keep: bool) -> PaperStages:
-    numbers = {name: _DEFAULTS.get(name) if given[name] is None else given[name] for name in _NUMBERS}
-    settings = as_settings(numbers)
+def _paper(given: dict[str, Any], sampled: Sampled, keep: bool, asked: str) -> PaperStages:
+    unused = [name for name, default in _FILTERS.items() if not np.array_equal(given[name], default)]
+    if unused:
+        raise ct.ControlArgument(
+            f"{unused[0]} is a setting of the joint filter, {asked} one of the paper's equations; "
+            "name effects=[...] or static=..., or leave one of the two out"
+        )
+    settings = as_settings(given, _DEFAULTS)
     # average over two windows
     average = given["static_average"]
     if average is None:
         average = 2 * settings[1].window if given["window"] or given["static_window"] else _AVERAGE
     average = as_size(average, "static_average", 1, "samples to average over")
-    setup = make_setup(
-        sampled, settings, given["correction_input"], given["correction_feedthrough"],
-        given["use_estimated_states"], average, given["scale"],
-    )  # fmt: skip
-    return PaperStages(setup, keep)
+    return PaperStages(make_setup(sampled, given, settings, given["use_estimated_states"], average), keep)
 
 
 def _stage_one(given: dict[str, Any], sampled: Sampled, keep: bool) -> tuple[PaperStages | None, str]:
     """Stage 1 beside the filter, or why there is none."""
     if not given["use_estimated_states"]:
         return None, ""
-    numbers = {name: _BESIDE.get(name) if given[name] is None else given[name] for name in _NUMBERS}
-    settings = as_settings(numbers)[0], _INERT
-    path = given["correction_input"], given["correction_feedthrough"]
+    settings = as_settings(given, _BESIDE)[0], _INERT
     # Markov parameters: does each input act on an output within n samples?
-    model = sampled.discrete
-    shown, power = np.abs(model.D).max(axis=0, initial=0.0), model.B
-    for _ in range(model.n_states):
-        shown = np.maximum(shown, np.abs(model.C @ power).max(axis=0, initial=0.0))
-        power = model.A @ power
-    if all(part is None for part in path) and not (shown > 0).all():
+    m = sampled.discrete
+    shown = markov_parameters(Plant(m.A, m.B, m.B, m.C, m.D, m.D), m.n_states + 1).any(axis=(0, 1))
+    given_path = given["correction_input"] is not None or given["correction_feedthrough"] is not None
+    if not given_path and not shown.all():
         return None, "Stage 1 does not run: an input affects no output, so it cannot correct any."
-    return PaperStages(make_setup(sampled, settings, *path, True, 1, given["scale"]), keep), ""
+    return PaperStages(make_setup(sampled, given, settings, True, 1), keep), ""
 
 
-def _filter_settings(given: dict[str, Any], sampled: Sampled) -> FilterSettings:
-    step = 1.0 if sampled.step is None else sampled.step
-    physical = getattr(given["model"], "physical_model", given["model"])
-    if isinstance(physical, PhysicalModel):
-        check_stream_hold(physical, given["hold"])
-    return checked_settings(
-        sampled.initial.n_outputs,
-        step,
-        given["hold"],
-        given["noise"],
-        given["disturbance"],
-        given["forgetting"],
-    )
-
-
-def _named_setup(given: dict[str, Any], sampled: Sampled, items: Sequence[Any]) -> CoefficientSetup:
+def _named_setup(
+    given: dict[str, Any], sampled: Sampled, items: Sequence[Any], settings: FilterSettings
+) -> CoefficientSetup:
     """Coefficients that the user names: entries or effects."""
     if items and all(isinstance(item, str) for item in items) and given["effects"] is None:
-        if given["substeps"] is not None:
-            raise ct.ControlArgument("substeps is a setting of nonlinear effects; entries have none")
-        return named_entries(sampled.initial, items, _filter_settings(given, sampled))
+        _check_linear(given, "substeps is a setting of nonlinear effects; entries have none")
+        return named_entries(sampled.initial, items, settings)
     assert sampled.step is not None or not sampled.initial.is_continuous
-    return make_effects_setup(
-        given["model"], items, 1.0 if sampled.step is None else sampled.step,
-        **{name: given[name] for name in _FILTERS},
-    )  # fmt: skip
+    return make_effects_setup(given["model"], items, settings, given["substeps"])
 
 
 def _forms(
@@ -468,7 +437,7 @@ def _forms(
     # most physical first: entries of the model, its inputs, all entries of the discrete model
     if static in ("auto", "nonzero"):
         found["nonzero"] = nonzero_entries(model, settings)
-    path = correction_path(model, given["correction_input"], given["correction_feedthrough"])
+    path = correction_path(model, given)
     if static in ("auto", "input"):
         found["input"] = correction(model, *path, settings)
     if static in ("auto", "discrete"):
@@ -480,10 +449,3 @@ def _forms(
     if every:
         found = {name: setup for name, setup in found.items() if len(setup.labels) <= _MOST}
     return {name: setup for name, setup in found.items() if setup.labels}
-
-
-_NUMBERS = (
-    "order", "window", "markov", "learning_rate", "static_order", "static_window", "static_markov",
-    "static_learning_rate",
-)  # fmt: skip
-_AVERAGE = 800  # samples that static coefficients are averaged over where no window is given

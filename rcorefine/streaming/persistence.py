@@ -12,6 +12,7 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
+from functools import partial
 from types import MappingProxyType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
@@ -94,35 +95,44 @@ def read_file(
         return content
 
 
+def parts_of(value: Any) -> dict[str, Any]:
+    """Fields of a dataclass or named tuple by name."""
+    names = value._fields if hasattr(value, "_fields") else [field.name for field in fields(value)]
+    return {name: getattr(value, name) for name in names}
+
+
+#: What is no array and no class of `_KINDS`: how it is written, its parts by `encode`.
+_FORMS: dict[type, Callable[[Any, Callable[[Any], Any]], Any]] = {
+    np.generic: lambda value, encode: value.item(),
+    # models and effects of the user by what makes them again
+    ct.StateSpace: lambda value, encode: {"statespace": encode(LinearModel.from_statespace(value))},
+    Effect: lambda value, encode: {"effect": encode(_arguments(value)), "port": value._domain},
+    tuple: lambda value, encode: {"tuple": [*map(encode, value)]},
+    list: lambda value, encode: {"list": [*map(encode, value)]},
+    # pairs, as keys may be other than text
+    Mapping: lambda value, encode: {"map": [[encode(k), encode(v)] for k, v in value.items()]},
+}
+
+
 def _encode(value: Any, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
     # leaves: numbers and text as they are, arrays by their key
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    if isinstance(value, np.generic):
-        return value.item()
     if isinstance(value, np.ndarray):
         key = f"a{len(arrays)}"
         arrays[key] = value
         return {"array": key}
-    # models and effects of the user by what makes them again
-    if isinstance(value, ct.StateSpace):
-        return {"statespace": _encode(LinearModel.from_statespace(value), arrays)}
-    if isinstance(value, Effect):
-        return {"effect": _encode(_arguments(value), arrays), "port": value._domain}
     # dataclasses and named tuples by name and fields; what is compiled is made anew
-    kind = type(value).__name__
+    kind, encode = type(value).__name__, partial(_encode, arrays=arrays)
     if _KINDS.get(kind) is type(value):
-        names = value._fields if hasattr(value, "_fields") else [f.name for f in fields(value)]
-        parts = {n: _encode(getattr(value, n), arrays) for n in names if n not in _NOT_STORED}
+        parts = {n: encode(part) for n, part in parts_of(value).items() if n not in _NOT_STORED}
         return {"kind": kind, "fields": parts}
-    # containers; pairs, as keys may be other than text
-    if isinstance(value, list | tuple):
-        return {"tuple" if isinstance(value, tuple) else "list": [_encode(item, arrays) for item in value]}
-    if isinstance(value, Mapping):
-        return {"map": [[_encode(k, arrays), _encode(v, arrays)] for k, v in value.items()]}
+    for one, form in _FORMS.items():
+        if isinstance(value, one):
+            return form(value, encode)
     if hasattr(value, "physical_model"):
-        return _encode(value.physical_model, arrays)
-    raise ModelError(f"a {type(value).__name__} cannot be saved; hand over a StateSpace or a PhysicalModel")
+        return encode(value.physical_model)
+    raise ModelError(f"a {kind} cannot be saved; hand over a StateSpace or a PhysicalModel")
 
 
 def _arguments(effect: Effect) -> dict[str, Any]:
@@ -132,53 +142,47 @@ def _arguments(effect: Effect) -> dict[str, Any]:
 
 
 def _decode(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[..., Any]]) -> Any:
+    decode = partial(_decode, arrays=arrays, laws=laws)
     if not isinstance(tree, dict):
         return tree
-    # leaves and models, as they were encoded
     if "array" in tree:
         return arrays[tree["array"]]
     if "statespace" in tree:
-        return _decode(tree["statespace"], arrays, laws).to_statespace()
-    # an effect with a function: from its import path, or from `laws` by its label
+        return decode(tree["statespace"]).to_statespace()
     if "effect" in tree:
-        arguments = _decode(tree["effect"], arrays, laws)
-        path = arguments.pop("law", "")
-        if isinstance(path, Table):
-            arguments["law"] = path
-        elif path or arguments["kind"] == Custom.name:
-            label = arguments["name"] or f"{arguments['kind']} at {arguments['place']}"
-            if label not in laws and not path:
-                raise ModelError(
-                    f"the law of {label!r} is a function that no name leads to, and no file holds it; "
-                    f"pass laws={{{label!r}: function}}"
-                )
-            arguments["law"] = laws[label] if label in laws else law_here(path, label)
-        return Effect(**arguments).at_port(tree["port"])
+        return _effect_of(decode(tree["effect"]), laws).at_port(tree["port"])
     # dataclasses: each field must fit its declared type before the class is called
     if "kind" in tree:
         kind = _KINDS[tree["kind"]]
-        parts = {name: _decode(part, arrays, laws) for name, part in tree["fields"].items()}
+        parts = {name: decode(part) for name, part in tree["fields"].items()}
         for name, hint in get_type_hints(kind).items():
             if name in parts and not fits(parts[name], hint):
                 raise DataError(f"{tree['kind']}.{name} is {parts[name]!r:.60}: the file is damaged")
-        assert is_dataclass(kind) or hasattr(kind, "_fields")
         return kind(**parts)
-    if "tuple" in tree:
-        return tuple(_decode(item, arrays, laws) for item in tree["tuple"])
-    if "list" in tree:
-        return [_decode(item, arrays, laws) for item in tree["list"]]
-    return {_decode(k, arrays, laws): _decode(v, arrays, laws) for k, v in tree["map"]}
+    if "map" in tree:
+        return {decode(k): decode(v) for k, v in tree["map"]}
+    return tuple(map(decode, tree["tuple"])) if "tuple" in tree else [*map(decode, tree["list"])]
+
+
+def _effect_of(arguments: dict[str, Any], laws: Mapping[str, Callable[..., Any]]) -> Effect:
+    """Effect of saved arguments; a function from its import path, or from `laws` by its label."""
+    path = arguments.pop("law", "")
+    if isinstance(path, Table):
+        arguments["law"] = path
+    elif path or arguments["kind"] == Custom.name:
+        label = arguments["name"] or f"{arguments['kind']} at {arguments['place']}"
+        if label not in laws and not path:
+            raise ModelError(
+                f"the law of {label!r} is a function that no name leads to, and no file holds it; "
+                f"pass laws={{{label!r}: function}}"
+            )
+        arguments["law"] = laws[label] if label in laws else law_here(path, label)
+    return Effect(**arguments)
 
 
 _WORDS = {int: "a whole number", bool: "true or false", str: "a text", type(None): "nothing"}
 _MOST = 2**53  # of any count: beyond it floats skip whole numbers
 _NOTHING: Mapping[str, str] = MappingProxyType({})
-
-
-def parts_of(value: Any) -> dict[str, Any]:
-    """Fields of a dataclass or named tuple by name."""
-    names = value._fields if hasattr(value, "_fields") else [field.name for field in fields(value)]
-    return {name: getattr(value, name) for name in names}
 
 
 def check_like(found: Any, fresh: Any, where: str, grown: Mapping[str, str] = _NOTHING) -> None:

@@ -19,6 +19,10 @@ from ..systems.conversion import to_discrete
 from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array, LinearModel
 
+Flags = NDArray[np.uint8]
+Integers = NDArray[np.int64]
+Complex = NDArray[np.complex128]
+
 
 def as_size(value: Any, name: str, least: int, meaning: str) -> int:
     """Whole number that is not below `least`."""
@@ -133,8 +137,8 @@ class Block(NamedTuple):
 
     inputs: Array
     outputs: Array
-    known: NDArray[np.uint8]
-    use: NDArray[np.uint8]
+    known: Flags
+    use: Flags
 
     @property
     def whole(self) -> bool:
@@ -154,7 +158,7 @@ class Block(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def _all_there(n_samples: int, n_outputs: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def _all_there(n_samples: int, n_outputs: int) -> tuple[Flags, Flags]:
     known, use = np.ones(n_samples, dtype=np.uint8), np.ones((n_samples, n_outputs), dtype=np.uint8)
     return known, use
 

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from ...arguments import as_whole
 from ...effects.channels import OutputOffset
 from ...effects.effect import Effect, as_effects
 from ...effects.formula import InputLaw, OutputLaw
@@ -34,7 +33,6 @@ from .setup import (
     CoefficientMemory,
     CoefficientSetup,
     FilterSettings,
-    checked_settings,
     floor_at,
     held_columns,
 )
@@ -250,15 +248,7 @@ def _forces(setup: EffectsSetup, sizes: tuple[float, ...]) -> tuple[Array, Array
 
 
 def make_effects_setup(
-    model: Any,
-    effects: Sequence[Effect],
-    dt: float,
-    *,
-    hold: str = "zoh",
-    noise: Any = None,
-    disturbance: float | None = None,
-    forgetting: float = 1.0,
-    substeps: int | None = None,
+    model: Any, effects: Sequence[Effect], settings: FilterSettings, substeps: int | None
 ) -> EffectsSetup:
     """Check what `RCORefiner` was given for the physical stage."""
     effects = as_effects(effects, "effects")
@@ -282,12 +272,11 @@ def make_effects_setup(
         seen.add((effect.kind, effect.place))
     refuse_discrete(model)
     physical = as_physical(model)
-    check_stream_hold(physical, hold)
-    settings = checked_settings(physical.linear.n_outputs, dt, hold, noise, disturbance, forgetting)
+    check_stream_hold(physical, settings.hold)
     bare = Structure(physical, effects)
     if bare.n_parameters == 0:
         raise ModelError("every coefficient of the effects is fixed; leave at least one free")
-    steps = 3 - bare.stages if substeps is None else as_whole(substeps, "substeps", least=1, error=ModelError)
+    steps = 3 - bare.stages if substeps is None else substeps
     return EffectsSetup(physical, tuple(effects), settings, 1 if bare.is_linear else steps)
 
 

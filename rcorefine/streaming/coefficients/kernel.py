@@ -19,14 +19,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...effects.compiled import raise_pending
 from ...engine.inputs import Drive
 from ...engine.march import MarchState, march_at
 from ...jit import compiled, put, put_rows
 from ...systems.linear import Array
-from ..samples import Block
+from ..samples import Block, Integers
 from .laws import Laws, drive, enter, fill, hold, inputs_of, keep_first, march_of, push, read, shift_matrices
 
 
@@ -224,7 +223,7 @@ class Kernel:
         Declared variance of the noise.
     """
 
-    sizes: NDArray[np.int64]
+    sizes: Integers
     fixed: Array
     laws: Laws | None
     floor: Array
@@ -232,7 +231,7 @@ class Kernel:
     def over(
         self,
         packed: Array,
-        counters: NDArray[np.int64],
+        counters: Integers,
         block: Block,
         record: CoefficientRecord,
         frozen: bool = False,

@@ -12,6 +12,7 @@ from ...engine.linear import Corrections, Substep
 from ...engine.march import Discretized, MarchResult
 from ...jit import compiled, put, put_rows
 from ...systems.linear import Array
+from ..samples import Integers
 
 
 class Inputs(NamedTuple):
@@ -26,8 +27,8 @@ class Inputs(NamedTuple):
     Wout: Array
     dW: Array
     dWout: Array
-    driven: NDArray[np.int64]
-    free: NDArray[np.int64]
+    driven: Integers
+    free: Integers
     changed: NDArray[np.bool_]
     delays: Array
     out: Array
@@ -235,7 +236,7 @@ class Laws(NamedTuple):
 
     march: int
     model: Discretized
-    statics: NDArray[np.int64]
+    statics: Integers
     levels: Array
     substeps: int
     foh: bool

@@ -10,7 +10,6 @@ from typing import Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 
 from ...arguments import as_noise, as_number, as_text
 from ...exceptions import DivergenceError, ModelError
@@ -18,7 +17,7 @@ from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
 from ..history import PARAMETERS, Summary
 from ..persistence import check_course, check_like, check_range, storable
-from ..samples import Block
+from ..samples import Block, Complex, Flags, Integers
 from .kernel import DIVERGED, DONE, MOVED, SURPRISED, CoefficientRecord, Kernel, Layout
 
 
@@ -63,7 +62,7 @@ class CoefficientMemory:
     """
 
     packed: Array
-    counters: NDArray[np.int64]
+    counters: Integers
     centre: Array
     origin: Array
     spread: Array
@@ -72,8 +71,8 @@ class CoefficientMemory:
     states: Array
     inputs: Array
     outputs: Array
-    known: NDArray[np.uint8]
-    use: NDArray[np.uint8]
+    known: Flags
+    use: Flags
     rivals: Array
     rounds: int
     discretized: int
@@ -239,7 +238,7 @@ class CoefficientSetup(ABC):
             doubted=0,
         )
 
-    def counters(self) -> NDArray[np.int64]:
+    def counters(self) -> Integers:
         """Counters of a filter before its first sample."""
         return np.array([0, 10 * self.layout.n + 10, int(self.settings.loose)], dtype=np.int64)
 
@@ -435,10 +434,10 @@ def cautions(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
     return found
 
 
-def _poles(setup: CoefficientSetup, memory: CoefficientMemory) -> NDArray[np.complex128]:
+def _poles(setup: CoefficientSetup, memory: CoefficientMemory) -> Complex:
     """Return the poles of the present model in rad/s.
 
-    Poles of a discrete model are converted to continuous time.
+    Complex of a discrete model are converted to continuous time.
     """
     theta = setup.layout.view(memory.packed, "theta")
     if not np.isfinite(theta).all():
@@ -446,7 +445,7 @@ def _poles(setup: CoefficientSetup, memory: CoefficientMemory) -> NDArray[np.com
     return _continuous_poles(setup.system(theta, memory.widths, "refined"), setup.settings.dt)
 
 
-def _continuous_poles(model: LinearModel, dt: float) -> NDArray[np.complex128]:
+def _continuous_poles(model: LinearModel, dt: float) -> Complex:
     poles = np.linalg.eigvals(model.A).astype(complex)
     if model.is_continuous:
         return poles
@@ -679,24 +678,18 @@ class CoefficientFilter:
         return np.asarray(np.sqrt(self.setup.layout.view(self.memory.packed, "level")[1]))
 
     form = "coefficients"
-    waits = False  # single samples are learned from at once
 
     @property
     def scores(self) -> dict[str, float]:
         """Nothing competes."""
         return {}
 
-    def summary(self, model: LinearModel, stopped: str) -> Summary:
+    def summary(self, name: str) -> Summary:
         """Cells and sentences of `str`."""
         setup, memory = self.setup, self.memory
-        title = (
-            f"RCORefiner of {model.name!r}: {len(setup.labels)} coefficients, dt = {setup.settings.dt:g} s"
-        )
+        title = f"RCORefiner of {name!r}: {len(setup.labels)} coefficients, dt = {setup.settings.dt:g} s"
         taken = f"{memory.n_samples} samples taken; the model was discretized {memory.discretized} times."
-        notes = [taken, *self.notes()]
-        if stopped:
-            notes.append(stopped.split(";")[0] + "; the static stage does not need it.")
-        return Summary(title, PARAMETERS, self.rows(), notes)
+        return Summary(title, PARAMETERS, self.rows(), [taken, *self.notes()])
 
     def system(self, name: str) -> LinearModel:
         """Refined linear model, in the timebase that it is estimated in."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...data.measurement import Measurement
 from ...effects.effect import Effect, as_effects
@@ -25,6 +24,7 @@ from ...models.library import effect_library
 from ...models.ports import felt
 from ...systems.discretization import discretize
 from ...systems.linear import Array
+from ..samples import Integers
 from .baseline import Numbers
 from .kernels import CODES, Columns, forces
 
@@ -64,12 +64,12 @@ class Bank:
     """
 
     effects: tuple[Effect, ...]
-    owner: Annotated[NDArray[np.int64], "k"]
+    owner: Annotated[Integers, "k"]
     rows: Annotated[Array, "2 k sensed"]
-    codes: Annotated[NDArray[np.int64], "k"]
+    codes: Annotated[Integers, "k"]
     values: Annotated[Array, "k 4"]
     widths: Annotated[Array, "k"]
-    pick: Annotated[NDArray[np.int64], "k", 0, 3]
+    pick: Annotated[Integers, "k", 0, 3]
     drive: Annotated[Array, "2 n k"]
     through: Annotated[Array, "ny k"]
     names: tuple[str, ...]
@@ -77,7 +77,7 @@ class Bank:
     C: Annotated[Array, "ny n"]
     scale: Annotated[Array, "k"]
     watched: int
-    numbers: Annotated[NDArray[np.int64], "p"]
+    numbers: Annotated[Integers, "p"]
     root: Annotated[Array, "p p"]
 
     @property

@@ -31,6 +31,7 @@ from ...inference.parameters import nominal_size
 from ...inference.whitening import autoregression, innovations
 from ...models.library import effect_library
 from ...systems.linear import Array
+from ..samples import Flags, Integers
 from .isolation import Segment, descend
 from .kernels import CLIP, EVEN
 
@@ -94,7 +95,7 @@ class Healthy:
     power: Annotated[Array, "ny", 0.0, math.inf]
 
 
-def check_outputs(structure: Structure, data: Measurement, use: NDArray[np.uint8]) -> None:
+def check_outputs(structure: Structure, data: Measurement, use: Flags) -> None:
     """Refuse a learning phase with a missing or constant output."""
     for i, label in enumerate(structure.linear_model.output_labels):
         there = use[:, i] > 0
@@ -112,11 +113,11 @@ def learn(
     theta: Array,
     substeps: int,
     data: Measurement,
-    use: NDArray[np.uint8],
+    use: Flags,
     disturbance: float | None,
     period: int,
     most: float = math.inf,
-) -> tuple[Healthy, NDArray[np.uint8], Array]:
+) -> tuple[Healthy, Flags, Array]:
     """Choose the observer and its whitening filter by likelihood.
 
     Parameters
@@ -155,7 +156,7 @@ def learn(
     return healthy, sound, scale
 
 
-def _isolated_outliers(white: Array, use: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def _isolated_outliers(white: Array, use: Flags) -> NDArray[np.bool_]:
     """Return isolated outliers of the whitened innovations.
 
     The shape is (N, n_y). There are none where outliers are frequent.
@@ -172,7 +173,7 @@ def _choose_observer(
     theta: Array,
     data: Measurement,
     ratios: Sequence[float],
-    use: NDArray[np.uint8],
+    use: Flags,
     period: int,
 ) -> tuple[Healthy, Array, Array]:
     """Return the most likely observer and its whitened innovations.
@@ -230,7 +231,7 @@ def _evaluate_observer(
     gain: Array,
     ratio: float,
     radius: float,
-    use: NDArray[np.uint8],
+    use: Flags,
     period: int,
 ) -> tuple[float, Healthy, Array, Array] | None:
     """Return minus log-likelihood, observer and filtered innovations.
@@ -382,7 +383,7 @@ class Numbers:
     structure: Structure
     theta: Array
     substeps: int
-    loose: NDArray[np.int64]
+    loose: Integers
     covariance: Array
 
     @cached_property
@@ -457,7 +458,7 @@ def numbers_of(
     )
 
 
-def offset(numbers: Numbers, data: Measurement, use: NDArray[np.uint8]) -> Numbers:
+def offset(numbers: Numbers, data: Measurement, use: Flags) -> Numbers:
     """Return the parameters with the constant offset of each sensor.
 
     The offsets are estimated together with the initial state.
@@ -492,7 +493,7 @@ def offset(numbers: Numbers, data: Measurement, use: NDArray[np.uint8]) -> Numbe
 def settled(
     numbers: Numbers,
     data: Measurement,
-    use: NDArray[np.uint8],
+    use: Flags,
     disturbance: float | None,
     period: int,
 ) -> tuple[Numbers, Healthy]:
@@ -535,7 +536,7 @@ def _fit_parameters(
     before: Numbers,
     start: Array,
     data: Measurement,
-    use: NDArray[np.uint8],
+    use: Flags,
     scale: Array,
     healthy: Healthy,
 ) -> Numbers:

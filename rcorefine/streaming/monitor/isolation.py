@@ -25,6 +25,7 @@ from ...inference.problem import natural_sizes
 from ...inference.starts import Motion, law_widths, shape_starts
 from ...inference.whitening import innovations
 from ...systems.linear import Array
+from ..samples import Flags, Integers
 
 _EVALUATIONS = 20
 _LITTLE = 0.01  # twice the log-likelihood that a last step may still add
@@ -66,7 +67,7 @@ class Segment:
     theta: Array
     substeps: int
     data: Measurement
-    use: NDArray[np.uint8]
+    use: Flags
     x0: Array
     gain: Array
     filters: Array
@@ -252,7 +253,7 @@ def descend(
     gain: Array,
     x0: Array,
     theta: Array,
-    loose: NDArray[np.int64],
+    loose: Integers,
     lower: Array,
     upper: Array,
     *,

@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...effects.compiled import COUNT, evaluate
 from ...jit import compiled
 from ...systems.linear import Array
+from ..samples import Flags, Integers
 
 #: Signals of the candidates that are no law to evaluate; d and v are what the rows sense.
 CODES = {
@@ -40,11 +40,11 @@ class Columns(NamedTuple):
     """
 
     rows: Array
-    codes: NDArray[np.int64]
-    laws: NDArray[np.int64]
+    codes: Integers
+    laws: Integers
     values: Array
     widths: Array
-    pick: NDArray[np.int64]
+    pick: Integers
 
 
 @compiled
@@ -145,7 +145,7 @@ class Fixed(NamedTuple):
     keep: Array
     level: Array
     fading: float
-    numbers: NDArray[np.int64]
+    numbers: Integers
     root: Array
     block: int
     thinning: float
@@ -183,7 +183,7 @@ class State(NamedTuple):
     crowd: Array
     size: Array
     sums: Array
-    counters: NDArray[np.int64]
+    counters: Integers
 
 
 @compiled
@@ -237,7 +237,7 @@ def _calibrate(state: State, keep: Array) -> None:
 
 @compiled
 def scores(
-    samples: tuple[Array, Array, NDArray[np.uint8], NDArray[np.uint8], Array],
+    samples: tuple[Array, Array, Flags, Flags, Array],
     fixed: Fixed,
     state: State,
     stop: bool,

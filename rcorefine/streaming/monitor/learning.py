@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from ...arguments import as_list
@@ -26,7 +25,7 @@ from ...inference.levels import levels
 from ...inference.parameters import nominal_size
 from ...results import Row
 from ...systems.linear import Array, LinearModel
-from ..samples import Block, as_size
+from ..samples import Block, Flags, as_size
 from .bank import Bank, build_bank
 from .baseline import FREE, Healthy, Numbers, check_outputs, numbers_of, offset, settled
 from .stream import Observer, Stream, Windows
@@ -76,9 +75,7 @@ class Adequacy(Row):
         return textwrap.fill(self.sentence, 80)
 
 
-def explained(
-    numbers: Numbers, theta: Array, data: Measurement, use: NDArray[np.uint8], gain: Array
-) -> Array:
+def explained(numbers: Numbers, theta: Array, data: Measurement, use: Flags, gain: Array) -> Array:
     """Return the fit of each output in percent, shape (n_y,).
 
     It is that of the free run if there is one.

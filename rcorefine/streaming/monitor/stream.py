@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from ...effects.compiled import raise_pending
@@ -24,6 +23,7 @@ from ...engine.structure import Structure
 from ...exceptions import DivergenceError, ModelError
 from ...models.operating_point import check_stream_hold, refuse_discrete
 from ...systems.linear import Array
+from ..samples import Flags, Integers
 from . import kernels
 from .bank import Bank
 from .baseline import Healthy
@@ -120,7 +120,7 @@ class Observer:
         memory: Mapping[str, Array],
         W: Array,
         Y: Array,
-        use: NDArray[np.uint8],
+        use: Flags,
         first: int,
     ) -> tuple[dict[str, Array], Array, Array]:
         """Advance over a block.
@@ -313,9 +313,7 @@ class Stream:
 
         return restore
 
-    def advance(
-        self, W: Array, Y: Array, use: NDArray[np.uint8], known: NDArray[np.uint8], *, stop: bool
-    ) -> tuple[int, Array]:
+    def advance(self, W: Array, Y: Array, use: Flags, known: Flags, *, stop: bool) -> tuple[int, Array]:
         """Take a block, or its samples until a threshold is exceeded.
 
         Parameters
@@ -439,9 +437,7 @@ class Stream:
                 P, samples = later, samples + 2**k
         return samples + 1
 
-    def _calm(
-        self, known: NDArray[np.uint8], use: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.uint8], tuple[int, int]]:
+    def _calm(self, known: Flags, use: Flags) -> tuple[Flags, tuple[int, int]]:
         """Return the samples that count.
 
         Samples after a gap do not count until the state is known well enough.
@@ -464,7 +460,7 @@ class Stream:
         return calm, (pause, gone)
 
     def _motion(
-        self, state: dict[str, Array], W: Array, Y: Array, use: NDArray[np.uint8], first: int
+        self, state: dict[str, Array], W: Array, Y: Array, use: Flags, first: int
     ) -> tuple[tuple[dict[str, Array], Array], Array, Array, Array]:
         """Observer over a block, and the candidates' forces along its motion."""
         after, outputs, states = self.observer.advance(state, W, Y, use, first)
@@ -478,7 +474,7 @@ class Stream:
         raise_pending()
         return (after, outputs), before, F * bank.scale, inner
 
-    def recent(self, start: int) -> tuple[Array, Array, NDArray[np.uint8], Array, Array]:
+    def recent(self, start: int) -> tuple[Array, Array, Flags, Array, Array]:
         """Return the stored samples from `start` on.
 
         They are inputs, outputs, flags, noise and the first state, as far as they are kept.
@@ -505,7 +501,7 @@ class Stream:
         """First sample that is kept."""
         return max(0, self.n_samples - len(self.memory["ring_w"]))
 
-    def block_sums(self) -> tuple[NDArray[np.int64], Array]:
+    def block_sums(self) -> tuple[Integers, Array]:
         """Return first sample, scores and information of each stored block.
 
         The blocks are in order of time.

@@ -13,13 +13,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dger
 
 from ...jit import NUMBA, compiled, put, put_rows
 from ...systems.linear import Array
-
-Integers = NDArray[np.int64]
+from ..samples import Integers
 
 # Columns of Stage.counters
 SLOT, AGE, STALE, RECENT, LEARNED = 0, 1, 2, 3, 4

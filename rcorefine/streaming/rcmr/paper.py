@@ -17,143 +17,30 @@ from ..history import History, Summary, joined, pole_samples, poles_of
 from ..persistence import check_course
 from ..samples import Block
 from .kernels import Plant, Record, advance
-from .setup import Memory, Scales, Setup, Tuned, explain, in_units, regressor_scale
+from .setup import Memory, Scales, Setup, explain, in_units, regressor_scale
 
 
 class Diverged(DivergenceError):
-    """Divergence after `done` sound samples.
+    """Divergence; `sound` holds the memory and the samples before it, inputs and outputs."""
 
-    Samples that were held back are included. `found` holds the scales.
-    """
-
-    def __init__(self, message: str, done: int = 0, found: Tuned | None = None) -> None:
+    def __init__(self, message: str, sound: Any = None) -> None:  # None: unpickled
         super().__init__(message)
-        self.done = done
-        self.found = found
+        self.sound = sound
 
 
-def take(
-    setup: Setup, memory: Memory, inputs: Array, outputs: Array, *, keep: bool = False, last: bool = False
-) -> tuple[Memory, Record | None, Array]:
-    """Memory after some samples, and what they leave behind for a history.
+Taken = tuple[Memory, list[tuple[Record, Array]]]  # memory after some samples, and their course
 
-    Parameters
-    ----------
-    setup, memory
-        The refiner; `memory` stays as it is.
-    inputs, outputs : ndarray of shape (N, n_w), (N, n_y)
-        Samples.
-    keep : bool
-        Whether to record every sample.
-    last : bool
-        Whether the record ends here, so that no sample is held back.
 
-    Raises
-    ------
-    Diverged
-        If a correction diverges.
-    """
-    n_samples = memory.n_samples + inputs.shape[0]
-    # hold samples back until their rms gives the scales
-    if memory.tuned is None:
-        inputs = np.concatenate([memory.inputs, inputs])
-        outputs = np.concatenate([memory.outputs, outputs])
-        scales = setup.found_scales(inputs, outputs, memory.inputs.shape[0], last)
-        if scales is None:
-            waiting = replace(memory, inputs=inputs, outputs=outputs, n_samples=n_samples)
-            return waiting, None, outputs[:0]
-        # scales known: design both stages; the waiting samples are learned now
-        memory = replace(
-            memory,
-            inputs=inputs[:0].copy(),
-            outputs=outputs[:0].copy(),
-            tuned=setup.tuned(scales),
+def _unavailable(what: str) -> Any:
+    """Property that the paper's coefficients do not have."""
+
+    def refuse(self: Any) -> None:
+        raise RCOError(
+            f"{what} belong to the joint filter; leave out window, markov and static_..., or name "
+            "effects=[...] (static_theta has the paper's coefficients)"
         )
-    # work on a copy: an error leaves the memory as it was
-    memory = memory.copied(n_samples)
-    record = _run_stages(setup, memory, inputs, outputs, n_samples - inputs.shape[0], keep)
-    return memory, record, outputs
 
-
-def take_until(
-    setup: Setup, memory: Memory, inputs: Array, outputs: Array, error: Diverged, *, keep: bool = False
-) -> tuple[Memory, Record | None, Array]:
-    """Take the samples that were sound before these diverged."""
-    # the block again, up to the sample before the divergence
-    inputs = np.concatenate([memory.inputs, inputs])[: error.done]
-    outputs = np.concatenate([memory.outputs, outputs])[: error.done]
-    memory = replace(
-        memory,
-        inputs=inputs[:0].copy(),
-        outputs=outputs[:0].copy(),
-        n_samples=memory.n_samples - len(memory.inputs),
-        tuned=error.found,
-    )
-    return take(setup, memory, inputs, outputs, keep=keep)
-
-
-def _run_stages(
-    setup: Setup, memory: Memory, inputs: Array, outputs: Array, first: int, keep: bool
-) -> Record | None:
-    """Run both stages over the block in place.
-
-    With `keep`, return the history of every sample.
-    """
-    assert memory.tuned is not None
-    scales, plant, designs = memory.tuned.scales, memory.tuned.plant, memory.tuned.designs
-    stages = memory.stages
-    # record only where a history is kept
-    kept = inputs.shape[0] if keep else 0
-    record = Record(
-        z1=np.empty((kept, outputs.shape[1])),
-        z2=np.empty((kept, outputs.shape[1])),
-        theta1=np.empty((kept, stages[0].theta.size)),
-        theta2=np.empty((kept, stages[1].theta.size)),
-        x=np.empty((kept, plant.A.shape[0])),
-    )
-    # both stages on scaled signals, in compiled code
-    with np.errstate(all="ignore"):  # a divergence is reported below, in words
-        done, stage = advance(
-            plant,
-            *designs,
-            *stages,
-            memory.peak,
-            memory.levels,
-            memory.recent_theta,
-            inputs / scales.inputs,
-            outputs / scales.outputs,
-            setup.estimated,
-            record,
-        )
-    # a stage diverged: say where and why
-    if stage:
-        raise Diverged(_divergence_message(setup, memory, first + done, stage), done, memory.tuned)
-    if not keep:
-        return None
-    # back to the units of the signals
-    return Record(
-        record.z1 * scales.outputs,
-        record.z2 * scales.outputs,
-        in_units(record.theta1, scales, setup.settings[0].order),
-        in_units(record.theta2, scales, setup.settings[1].order),
-        record.x * scales.states,
-    )
-
-
-def _divergence_message(setup: Setup, memory: Memory, sample: int, stage: int) -> str:
-    assert memory.tuned is not None
-    settings = setup.settings[stage - 1]
-    # sample number and time
-    time = "" if setup.step is None else f" (t = {sample * setup.step:.6g} s)"
-    return explain(
-        memory.tuned.plant,
-        setup.delay,
-        settings.markov,
-        settings.learning_rate,
-        stage,
-        f"sample {sample}{time}",
-        float(memory.peak[0]),
-    )
+    return property(refuse)
 
 
 class PaperStages:
@@ -199,38 +86,122 @@ class PaperStages:
         With `keep_sound`, keep what came before a divergence.
         """
         # gaps: stretch by stretch, with the simulated output in the place of the missing one
-        if not block.whole:
-            self.memory, records = take_over_gaps(self.setup, self.memory, block, keep=self.keep)
-            self.records += records
-            return
-        self._take(block.inputs, block.outputs, keep_sound, last=False)
+        if block.whole:
+            self._take(block.inputs, block.outputs, keep_sound)
+        else:
+            self._commit(self._over_gaps(block))
 
     def finish(self) -> None:
         """Learn from what is still held back for the scales, however short."""
-        if self.memory.tuned is None:
-            s = self.setup
-            self._take(np.zeros((0, s.initial.n_inputs)), np.zeros((0, s.initial.n_outputs)), True, last=True)
+        memory = self.memory
+        if memory.tuned is None:
+            self._take(memory.inputs[:0], memory.outputs[:0], True, last=True)
 
-    def _take(self, inputs: Array, outputs: Array, keep_sound: bool, last: bool) -> None:
+    def _take(self, inputs: Array, outputs: Array, keep_sound: bool, last: bool = False) -> None:
         try:
-            self._commit(take(self.setup, self.memory, inputs, outputs, keep=self.keep, last=last))
+            self._commit(self._after(self.memory, inputs, outputs, last))
         # a record keeps what came before a divergence, a stream takes all of a block or nothing
         except Diverged as error:
             if keep_sound:
-                self._commit(take_until(self.setup, self.memory, inputs, outputs, error, keep=self.keep))
+                memory, inputs, outputs = error.sound
+                self._commit(self._run_stages(memory, inputs, outputs, self.keep))
             raise
 
-    def take_sound(self, inputs: Array, outputs: Array) -> None:
-        """Learn from samples of shape (N, .) without gaps.
+    def _commit(self, taken: Taken) -> None:
+        self.memory, records = taken
+        self.records += records
 
-        Samples before a divergence are kept.
+    def _after(self, memory: Memory, inputs: Array, outputs: Array, last: bool = False) -> Taken:
+        """Memory after some samples, and their course; the memory given stays as it is.
+
+        Samples are held back until their rms gives the scales, or until the record ends (`last`).
         """
-        self._take(inputs, outputs, True, last=False)
+        if memory.tuned is None:
+            held, n_samples = len(memory.inputs), memory.n_samples + len(inputs)
+            inputs = np.concatenate([memory.inputs, inputs])
+            outputs = np.concatenate([memory.outputs, outputs])
+            scales = self.setup.found_scales(inputs, outputs, held, last)
+            if scales is None:
+                return replace(memory, inputs=inputs, outputs=outputs, n_samples=n_samples), []
+            # scales known: design both stages; the waiting samples are learned now
+            memory = replace(
+                memory, inputs=inputs[:0].copy(), outputs=outputs[:0].copy(), tuned=self.setup.tuned(scales),
+                n_samples=n_samples - len(inputs),
+            )  # fmt: skip
+        return self._run_stages(memory, inputs, outputs, self.keep)
 
-    def _commit(self, taken: tuple[Memory, Record | None, Array]) -> None:
-        self.memory, record, outputs = taken
-        if self.keep and record is not None:
-            self.records.append((record, outputs.copy()))
+    def _run_stages(self, before: Memory, inputs: Array, outputs: Array, keep: bool) -> Taken:
+        """Run both stages over samples, on a copy: an error leaves the memory as it was."""
+        setup, count, n_y = self.setup, len(inputs), outputs.shape[1]
+        memory = before.copied(before.n_samples + count)
+        assert memory.tuned is not None
+        scales, plant, stages = memory.tuned.scales, memory.tuned.plant, memory.stages
+        # record only where a history is kept
+        widths = n_y, n_y, *(stage.theta.size for stage in stages), len(plant.A)
+        record = Record(*(np.empty((count if keep else 0, width)) for width in widths))
+        # both stages on scaled signals, in compiled code
+        with np.errstate(all="ignore"):  # a divergence is reported below, in words
+            done, stage = advance(
+                plant, *memory.tuned.designs, *stages, memory.peak, memory.levels, memory.recent_theta,
+                inputs / scales.inputs, outputs / scales.outputs, setup.estimated, record,
+            )  # fmt: skip
+        # a stage diverged: say where and why
+        if stage:
+            sample, settings = before.n_samples + done, setup.settings[stage - 1]
+            time = "" if setup.step is None else f" (t = {sample * setup.step:.6g} s)"
+            message = explain(
+                plant, setup.delay, settings.markov, settings.learning_rate, stage, f"sample {sample}{time}",
+                float(memory.peak[0]),
+            )  # fmt: skip
+            raise Diverged(message, (before, inputs[:done], outputs[:done]))
+        if not keep:
+            return memory, []
+        # back to the units of the signals
+        z1, z2 = record.z1 * scales.outputs, record.z2 * scales.outputs
+        theta1, theta2 = (
+            in_units(theta, scales, stage.order)
+            for theta, stage in zip((record.theta1, record.theta2), setup.settings, strict=True)
+        )
+        return memory, [(Record(z1, z2, theta1, theta2, record.x * scales.states), outputs.copy())]
+
+    def _over_gaps(self, block: Block) -> Taken:
+        """Take one stretch of samples after another, gaps included.
+
+        In a gap the output of stage 1 replaces the measured one. So its performance is zero there
+        and nothing changes.
+        """
+        memory, records = self.memory, []
+        # stretches between gaps
+        complete = np.asarray(block.use.all(axis=1))
+        position, total = 0, complete.size
+        while position < total:
+            ahead = np.flatnonzero(complete[position:] != complete[position])
+            stop = position + (int(ahead[0]) if ahead.size else total - position)
+            # samples with a gap go one by one: each needs the simulated output of its own time
+            if not complete[position]:
+                stop = position + 1
+            inputs, outputs = block.inputs[position:stop], block.outputs[position:stop].copy()
+            if not complete[position]:
+                gap = block.use[position] == 0
+                outputs[0, gap] = self._simulated_output(memory, inputs, outputs)[gap]
+            memory, more = self._after(memory, inputs, outputs)
+            records += more
+            position = stop
+        return memory, records
+
+    def _simulated_output(self, memory: Memory, inputs: Array, outputs: Array) -> Array:
+        """Output of stage 1 at the next sample, before it has learned from it."""
+        # simulated output of stage 1: performance plus what was given as the output
+        if memory.tuned is not None:
+            ((record, _),) = self._run_stages(memory, inputs, outputs, True)[1]
+            return np.asarray(record.z1[0] + outputs[0])
+        # before the scales are known: hold the last output
+        if memory.outputs.shape[0] == 0:
+            raise DataError(
+                "an output is missing at the first sample, before anything can stand in for it; "
+                "start at a sample that is whole"
+            )
+        return np.asarray(memory.outputs[-1])
 
     # -- results -------------------------------------------------------------------------------------
 
@@ -260,20 +231,7 @@ class PaperStages:
 
     filter = static
 
-    @property
-    def scores(self) -> dict[str, float]:
-        """No forms compete."""
-        raise _unavailable("scores")
-
-    @property
-    def parameters(self) -> tuple[Any, ...]:
-        """The paper's coefficients are no parameters."""
-        raise _unavailable("parameters")
-
-    @property
-    def covariance(self) -> Array:
-        """The paper's coefficients have none."""
-        raise _unavailable("covariance")
+    scores, parameters, covariance = map(_unavailable, ("scores", "parameters", "covariance"))
 
     def dynamic_theta(self) -> Array:
         """Coefficients of stage 1."""
@@ -462,58 +420,6 @@ class PaperStages:
         latest = stage.past_u[stage.counters[3]] * scales.corrections
         past_u = np.concatenate([latest, psi[first_u : first_u + (order - 1) * l_u]])
         return np.concatenate([x, psi[: order * n], psi[first_w : first_w + order * n_w], past_u])
-
-
-def _unavailable(what: str) -> RCOError:
-    return RCOError(
-        f"{what} belong to the joint filter; leave out window, markov and static_..., or name "
-        "effects=[...] (static_theta has the paper's coefficients)"
-    )
-
-
-def take_over_gaps(
-    setup: Setup, memory: Memory, block: Block, *, keep: bool = False
-) -> tuple[Memory, list[tuple[Record, Array]]]:
-    """Take one stretch of samples after another, gaps included.
-
-    In a gap the output of stage 1 replaces the measured one. So its performance is zero there
-    and nothing changes.
-    """
-    records: list[tuple[Record, Array]] = []
-    # stretches between gaps
-    complete = np.asarray(block.use.all(axis=1))
-    position, total = 0, complete.size
-    while position < total:
-        ahead = np.flatnonzero(complete[position:] != complete[position])
-        stop = position + (int(ahead[0]) if ahead.size else total - position)
-        # samples with a gap go one by one: each needs the simulated output of its own time
-        if not complete[position]:
-            stop = position + 1
-        inputs, outputs = block.inputs[position:stop], block.outputs[position:stop].copy()
-        if not complete[position]:
-            gap = block.use[position] == 0
-            outputs[0, gap] = _simulated_output(setup, memory, inputs, outputs)[gap]
-        memory, record, learned = take(setup, memory, inputs, outputs, keep=keep)
-        if keep and record is not None:
-            records.append((record, learned.copy()))
-        position = stop
-    return memory, records
-
-
-def _simulated_output(setup: Setup, memory: Memory, inputs: Array, outputs: Array) -> Array:
-    """Output of stage 1 at the next sample, before it has learned from it."""
-    # before the scales are known: hold the last output
-    if memory.tuned is None:
-        if memory.outputs.shape[0] == 0:
-            raise DataError(
-                "an output is missing at the first sample, before anything can stand in for it; "
-                "start at a sample that is whole"
-            )
-        return np.asarray(memory.outputs[-1])
-    # simulated output of stage 1: performance plus what was given as the output
-    _, record, _ = take(setup, memory, inputs, outputs, keep=True)
-    assert record is not None
-    return np.asarray(record.z1[0] + outputs[0])
 
 
 def refined(model: LinearModel, plant: Plant, theta: Array, order: int, name: str) -> LinearModel:

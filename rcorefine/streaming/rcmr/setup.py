@@ -17,7 +17,7 @@ from ...exceptions import DataError, ModelError
 from ...systems.discretization import discretize
 from ...systems.linear import Array, LinearModel
 from ..persistence import check_like, check_range, storable
-from ..samples import Sampled, as_matrix, as_rate, as_size
+from ..samples import Complex, Sampled, as_matrix, as_rate, as_size
 from .kernels import PADDING, Design, Plant, Record, Stage
 
 # A Markov parameter counts as zero below this share of the largest |C| |A^(i-1) B_u| of its entry
@@ -98,7 +98,7 @@ def column_delays(plant: Plant) -> Array:
     return np.stack([values[first[c], :, c] for c in range(first.size)], axis=1)
 
 
-def path_zeros(plant: Plant) -> NDArray[np.complex128]:
+def path_zeros(plant: Plant) -> Complex:
     """Return the finite zeros of the path u -> y.
 
     They are invariant zeros if the path is square, otherwise the zeros of every single path.
@@ -113,7 +113,7 @@ def path_zeros(plant: Plant) -> NDArray[np.complex128]:
     return np.concatenate([*found, np.zeros(0, dtype=complex)])
 
 
-def _invariant_zeros(a: Array, b: Array, c: Array, d: Array) -> NDArray[np.complex128]:
+def _invariant_zeros(a: Array, b: Array, c: Array, d: Array) -> Complex:
     n = a.shape[0]
     # Rosenbrock's pencil [A - zI, B; C, D]: its generalized eigenvalues are the zeros
     pencil = np.block([[a, b], [c, d]])
@@ -215,8 +215,8 @@ def measured_scales(
     return Scales(inputs, outputs, states, corrections)
 
 
-def declared_scales(plant: Plant, scale: Mapping[str, Any], n_samples: int) -> Scales:
-    """Return the scales that the user declares.
+def declared_scales(plant: Plant, scale: Any, n_samples: int) -> Scales | None:
+    """Return the scales that the user declares, None for those to be measured.
 
     Those of states and corrections may be left out.
 
@@ -229,6 +229,12 @@ def declared_scales(plant: Plant, scale: Mapping[str, Any], n_samples: int) -> S
     ModelError
         If a scale is not positive and finite.
     """
+    if isinstance(scale, str) and scale == "auto":
+        return None
+    if not isinstance(scale, Mapping):
+        raise ct.ControlArgument(
+            f"scale must be 'auto' or a mapping such as {{'inputs': 1.0, 'outputs': 0.1}}, not {scale!r}"
+        )
     sizes = {
         "inputs": plant.B.shape[1],
         "outputs": plant.C.shape[0],
@@ -376,17 +382,10 @@ class Memory:
 
     def copied(self, n_samples: int) -> Memory:
         """Independent copy of what changes in place, for so many samples."""
-        first, second = self.stages  # dataclasses.replace takes as long as a stage
-        return Memory(
-            (copied(first), copied(second)),
-            self.peak.copy(),
-            self.levels.copy(),
-            self.recent_theta.copy(),
-            self.inputs,
-            self.outputs,
-            n_samples,
-            self.tuned,
-        )
+        # dataclasses.replace takes as long as a stage
+        rings = self.peak.copy(), self.levels.copy(), self.recent_theta.copy()
+        stages = copied(self.stages[0]), copied(self.stages[1])
+        return Memory(stages, *rings, self.inputs, self.outputs, n_samples, self.tuned)
 
 
 def regressor_length(n: int, n_w: int, l_u: int, order: int) -> int:
@@ -602,20 +601,18 @@ def warm_up(settings: tuple[Settings, Settings]) -> int:
 
 def make_setup(
     model: Sampled,
+    given: Mapping[str, Any],
     settings: tuple[Settings, Settings],
-    correction_input: Any,
-    correction_feedthrough: Any,
     estimated: bool,
     average: int,
-    scale: Any,
 ) -> Setup:
     """Check the arguments of the paper's stages and prepare the model.
 
-    The arguments are those of `RCORefiner`.
+    `given` are the arguments of `RCORefiner`.
     """
     initial, discrete, step = model.initial, model.discrete, model.step
     # B_u and D_u, by default those of the inputs
-    b_u, d_u = correction_path(initial, correction_input, correction_feedthrough)
+    b_u, d_u = correction_path(initial, given)
     # the correction acts as a held input, too
     if initial.is_continuous and step is not None:
         b_u = discretize(initial.A, b_u, step)[1]
@@ -624,11 +621,11 @@ def make_setup(
     # relative degree of the path u -> y, and each correction must act on an output
     delay = relative_degree(plant)
     column_delays(plant)
-    scales = _scales_given(plant, scale, warm_up(settings))
+    scales = declared_scales(plant, given["scale"], warm_up(settings))
     return Setup(initial, discrete, step, plant, delay, settings, estimated, average, scales)
 
 
-def as_settings(given: Mapping[str, Any]) -> tuple[Settings, Settings]:
+def as_settings(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> tuple[Settings, Settings]:
     """Return the checked settings n_c, p, mu and alpha of both stages.
 
     Those of stage 2 default to those of stage 1.
@@ -636,40 +633,31 @@ def as_settings(given: Mapping[str, Any]) -> tuple[Settings, Settings]:
 
     def stage(prefix: str) -> Settings:
         # stage 2 takes the settings of stage 1 where it has none
-        own = {name: given[prefix + name] for name in Settings.__slots__}
-        value = {name: given[name] if one is None else one for name, one in own.items()}
+        def first(name: str) -> Any:
+            own = (one for n in (prefix + name, name) for one in (given[n], defaults.get(n)))
+            return next(one for one in own if one is not None)
+
         return Settings(
-            as_size(value["order"], f"{prefix}order", 0, "n_c"),
-            as_size(value["window"], f"{prefix}window", 1, "p"),
-            as_size(value["markov"], f"{prefix}markov", 1, "mu"),
-            as_rate(value["learning_rate"], f"{prefix}learning_rate"),
+            as_size(first("order"), f"{prefix}order", 0, "n_c"),
+            as_size(first("window"), f"{prefix}window", 1, "p"),
+            as_size(first("markov"), f"{prefix}markov", 1, "mu"),
+            as_rate(first("learning_rate"), f"{prefix}learning_rate"),
         )
 
     return stage(""), stage("static_")
 
 
-def correction_path(model: LinearModel, given: Any, feedthrough: Any) -> tuple[Array, Array]:
+def correction_path(model: LinearModel, given: Mapping[str, Any]) -> tuple[Array, Array]:
     """Return B_u and D_u in the timebase of the model.
 
     By default they are those of its inputs.
     """
-    n, n_y = model.n_states, model.n_outputs
-    b_u = model.B.copy() if given is None else as_matrix(given, "correction_input (B_u)", n, None, "state")
-    l_u = b_u.shape[1]
-    if feedthrough is not None:
-        return b_u, as_matrix(feedthrough, "correction_feedthrough (D_u)", n_y, l_u, "output")
-    return b_u, model.D.copy() if given is None else np.zeros((n_y, l_u))
-
-
-def _scales_given(plant: Plant, scale: Any, n_samples: int) -> Scales | None:
-    """Scales that the user declares, None for those to be measured."""
-    if isinstance(scale, str) and scale == "auto":
-        return None
-    if not isinstance(scale, Mapping):
-        raise ct.ControlArgument(
-            f"scale must be 'auto' or a mapping such as {{'inputs': 1.0, 'outputs': 0.1}}, not {scale!r}"
-        )
-    return declared_scales(plant, scale, n_samples)
+    b_u, d_u, n_y = given["correction_input"], given["correction_feedthrough"], model.n_outputs
+    acts = model.B if b_u is None else as_matrix(b_u, "correction_input (B_u)", model.n_states, None, "state")
+    l_u = acts.shape[1]
+    if d_u is not None:
+        return acts, as_matrix(d_u, "correction_feedthrough (D_u)", n_y, l_u, "output")
+    return acts, model.D if b_u is None else np.zeros((n_y, l_u))
 
 
 # Samples of the impulse response that the first Markov parameter is compared with.
