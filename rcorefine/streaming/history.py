@@ -115,6 +115,15 @@ def pole_samples(n_samples: int) -> Integers:
     return np.unique(np.linspace(0, max(n_samples - 1, 0), min(n_samples, _POINTS)).astype(np.int64))
 
 
+def rates(model: LinearModel, dt: float | None) -> Complex:
+    """Poles in rad/s; those of a discrete model are s = ln(z) / dt."""
+    poles = np.linalg.eigvals(model.A).astype(complex)
+    if model.is_continuous:
+        return poles
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.log(poles) / (1.0 if dt is None else dt))
+
+
 def poles_of(models: Sequence[LinearModel], dt: float | None) -> Complex:
     """Return the poles in rad/s, shape (n, K), in matching order.
 
@@ -124,11 +133,7 @@ def poles_of(models: Sequence[LinearModel], dt: float | None) -> Complex:
     for model in models:
         poles = np.full(len(model.A), complex(np.nan, np.nan))
         if np.isfinite(model.A).all():
-            poles = np.linalg.eigvals(model.A).astype(complex)
-        # s = ln(z) / dt
-        if not model.is_continuous:
-            with np.errstate(divide="ignore"):
-                poles = np.log(poles) / (1.0 if dt is None else dt)
+            poles = rates(model, dt)
         # by frequency at first, then in the order of the poles before
         poles = poles[np.lexsort((poles.imag, np.abs(poles)))]
         # assignment problem: the smallest total distance in the complex plane

@@ -362,7 +362,10 @@ def assembled(given: dict[str, Any], sampled: Sampled) -> PaperStages | JointSta
 
 
 def _check_linear(given: dict[str, Any], message: str) -> None:
-    """Refuse substeps, and the other hold of a physical model: there are no nonlinear effects."""
+    """Refuse what entries and forms have no use for.
+
+    These are substeps, and another hold than a physical model was found with.
+    """
     if given["substeps"] is not None:
         raise ct.ControlArgument(message)
     physical = getattr(given["model"], "physical_model", given["model"])

@@ -165,7 +165,10 @@ def _decode(tree: Any, arrays: dict[str, Any], laws: Mapping[str, Callable[..., 
 
 
 def _effect_of(arguments: dict[str, Any], laws: Mapping[str, Callable[..., Any]]) -> Effect:
-    """Effect of saved arguments; a function from its import path, or from `laws` by its label."""
+    """Effect of saved arguments.
+
+    A function is found from its import path, or in `laws` by its label.
+    """
     path = arguments.pop("law", "")
     if isinstance(path, Table):
         arguments["law"] = path

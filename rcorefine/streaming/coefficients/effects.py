@@ -35,10 +35,11 @@ from .setup import (
     FilterSettings,
     floor_at,
     held_columns,
+    signal_sizes,
 )
 
 _LAG = 64  # samples that input delays look back on
-_FIRST = 50  # samples of the first stretch, at least
+_FIRST, _LAST = 50, 2048  # samples of the first stretch, at least, and of the last one
 _MARGIN = 1e-3  # of a bound that an estimate keeps off it
 
 
@@ -97,7 +98,7 @@ class EffectsSetup(CoefficientSetup):
     @cached_property
     def milestones(self) -> tuple[int, ...]:  # type: ignore[override]
         """Numbers of samples at which the first ones are gone over."""
-        lay, last = self.layout, self.settings.start_samples
+        lay, last = self.layout, _LAST
         # first stretch: enough outputs for states and coefficients; then twice as long each time
         lengths = [min(max(_FIRST, 3 * (lay.n + lay.p) // max(1, lay.ny) + lay.n), last)]
         while lengths[-1] < last:
@@ -154,7 +155,22 @@ class EffectsSetup(CoefficientSetup):
 
         It is as if the best coefficients had been known from the first sample.
         """
-        return go_over(self, memory)
+        stretch = _Stretch(self, memory)
+        found: list[_Pass] = []
+        # descents from several starts; equal minima count once
+        main, far = _starts(self, stretch.memory)
+        for start in main + stretch.best_starts(far):
+            descent = stretch.descend(start, _PASSES if not found else _FEW)
+            if descent is not None and not any(descent.alike(other) for other in found):
+                found.append(descent)
+        if not found:  # not even the initial model stays bounded: leave it to the guard
+            return replace(stretch.memory, rounds=memory.rounds + 1, kernel=None)
+        # the best minimum is refined; the next ones serve as starts of the longer stretch
+        found.sort(key=lambda descent: descent.cost)
+        best = stretch.descend(found[0].memory.centre, _PASSES) or found[0]
+        stretch.warn_of_offsets(best)
+        rivals = np.array([run.memory.centre for run in found[1 : 1 + _RIVALS]]).reshape(-1, self.layout.p)
+        return replace(stretch.last_step(best), rivals=rivals)
 
     def system(self, theta: Array, widths: Array, name: str) -> LinearModel:
         """Linear part at these coefficients, in continuous time."""
@@ -295,81 +311,156 @@ _FLAT = 1e-3  # of the rms of an output: a constant part that distorts nothing
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pass:
-    """One run over the stretch about fixed coefficients."""
+    """One run over the stretch about fixed coefficients, and their deviations."""
 
     memory: CoefficientMemory
     step: Array
     power: Array
     cost: float
     left: Array
+    std: Array
+
+    def alike(self, other: _Pass) -> bool:
+        """Return whether two descents ended in the same minimum."""
+        return bool(np.all(np.abs(self.memory.centre - other.memory.centre) < 3.0 * other.std))
 
 
-def go_over(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
-    """Return the memory after filtering again with the best coefficients.
+class _Stretch:
+    """First samples, to be filtered about other coefficients.
 
-    It is as if the best coefficients had been known from the first sample of the stretch.
+    Sizes of signals, widths of laws, priors and the initial state follow from them.
     """
-    # sizes of signals, widths of laws, priors and the initial state follow from the samples so far
-    memory = _with_sizes(setup, memory)
-    initial = _initial_state(setup, memory)
-    memory = replace(memory, states=np.sqrt(np.diag(initial[1])))
-    found: list[_Pass] = []
-    # descents from several starts; equal minima count once
-    main, far = _starts(setup, memory)
-    for start in main + _best_starts(setup, memory, initial, far):
-        descent = _descend(setup, memory, initial, start, _PASSES if not found else _FEW)
-        if descent is not None and not any(_same_minimum(setup, descent, other) for other in found):
-            found.append(descent)
-    if not found:  # not even the initial model stays bounded: leave it to the guard
-        return replace(memory, rounds=memory.rounds + 1, kernel=None)
-    # the best minimum is refined; the next ones serve as starts of the longer stretch
-    found.sort(key=lambda descent: descent.cost)
-    best = _descend(setup, memory, initial, found[0].memory.centre, _PASSES) or found[0]
-    _warn_of_offsets(setup, memory, initial, best)
-    rivals = np.array([run.memory.centre for run in found[1 : 1 + _RIVALS]]).reshape(-1, setup.layout.p)
-    return replace(_take_last_step(setup, best, memory), rivals=rivals)
 
+    def __init__(self, setup: EffectsSetup, memory: CoefficientMemory) -> None:
+        memory = _with_sizes(setup, memory)
+        self.setup = setup
+        self.memory = replace(memory, states=_state_sizes(setup, memory))
+        self.lower, self.upper = setup.bounds_about(memory.origin)
+        # noise variance from the size of the outputs, before there is a residual
+        self.R = np.maximum(memory.sizes[-setup.layout.ny :] ** 2, 1e-300)
 
-def _warn_of_offsets(
-    setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], best: _Pass
-) -> None:
-    """Warn if the first samples have a constant part that no effect takes.
+    def inside(self, theta: Array) -> Array:
+        """Coefficients within their bounds."""
+        return np.clip(theta, self.lower, self.upper)
 
-    Such a constant part distorts the coefficients.
-
-    Seen in what the best fit leaves, by the standard error of a mean of colored noise. But a fit that ran
-    away turns the constant into a slow motion: where it is the larger part of what the initial model
-    leaves, a fit without it must not be decisively better.
-    """
-    # an offset that an effect estimates needs no warning
-    taken = {effect.place for effect in setup.effects if effect.spec.holds_constant}
-    labels = setup.model.output_labels
-    least = np.array([np.inf if label in taken else _FLAT for label in labels]) * memory.sizes[-len(labels) :]
-    # mean of the residual against its standard error, for colored noise
-    mean, error, _ = _means(best.left)
-    suspect = np.abs(mean) > np.maximum(_FAR * error, least)
-    # compare with the initial coefficients: an offset may hide in a distorted fit
-    other = _run_about(setup, memory, initial, memory.origin, best.power)
-    if other is not None:
-        mean, _, sd = _means(other.left)
-        large = ~suspect & (np.abs(mean) > np.maximum(sd, least))
-        # fit again without that mean: does the likelihood say that it was an offset?
-        for _ in range(2 * bool(large.any())):
-            mean = np.where(large, _means(other.left)[0], 0.0)
-            memory = _with_sizes(setup, replace(memory, outputs=memory.outputs - mean))
-            initial = _initial_state(setup, memory)
-            other = _descend(setup, memory, initial, other.memory.centre, _FEW) or other
-        _, error, sd = _means(other.left)
-        # colored noise: fewer independent samples than samples
-        wide = max(1.0, float(np.max(len(best.left) * (error / np.maximum(sd, 1e-300)) ** 2)))
-        suspect |= large & (best.cost - other.cost > _FAR**2 * wide)
-    for i in np.flatnonzero(suspect & (len(best.left) >= _ENOUGH)):
-        warn(
-            f"output {labels[i]!r}: the first samples have an offset that is not in the model and "
-            "distorts the coefficients; estimate it together with them: "
-            f"rco.Effect({OutputOffset.name!r}, {labels[i]!r})",
-            IdentifiabilityWarning,
+    def run_about(self, theta: Array, R: Array) -> _Pass | None:
+        """Run over the stretch about `theta`; None where that leaves all bounds."""
+        setup, memory, lay = self.setup, self.memory, self.setup.layout
+        about = setup.about(memory, theta)
+        parts = lay.parts(about.packed)
+        # delta: the mean of the prior relative to theta
+        parts.delta[:] = memory.origin - theta
+        kernel = setup.compile(about)
+        if not np.isfinite(kernel.fixed[4 * lay.p :]).all():
+            return None
+        # the noise is the same in all passes that are compared
+        fixed = kernel.fixed.copy()
+        fixed[floor_at(lay)] = np.maximum(kernel.floor, R)
+        course = lay.record(len(memory.inputs))
+        done, _ = replace(kernel, fixed=fixed).over(
+            about.packed, about.counters, memory.first, course, frozen=True
         )
+        if done < len(memory.inputs) or not np.isfinite(about.packed).all():
+            return None
+        cost, count = parts.cost
+        power = np.where(count > 0, cost / np.maximum(count, 1.0), R)
+        # minus twice the log-likelihood, noise variances concentrated out, plus the prior
+        total = float(np.sum(count * np.log(np.maximum(power, kernel.floor) + 1e-300)))
+        away = (theta - memory.origin) / memory.spread
+        about = replace(about, discretized=memory.discretized + 1, kernel=kernel)
+        left = np.where(memory.use, memory.outputs - course.predicted, np.nan)
+        std = np.sqrt(np.diag(parts.Pt))
+        return _Pass(about, parts.delta.copy(), power, total + float(away @ away), left, std)
+
+    def descend(self, start: Array, passes: int) -> _Pass | None:
+        """Gauss-Newton with a damped step, inside the bounds."""
+        # noise variance first from the size of the outputs, then from the residual of the first pass
+        best = self.run_about(self.inside(start), self.R)
+        if best is None:
+            return None
+        best = self.run_about(best.memory.centre, best.power) or best
+        damping = 1.0
+        for _ in range(passes):
+            trial = self.run_about(self.inside(best.memory.centre + damping * best.step), best.power)
+            if trial is None or trial.cost >= best.cost:
+                # no descent: shorten the step, or stop where it is small against the deviations
+                if damping < 0.02 or np.all(np.abs(damping * best.step) < 1e-2 * best.std):
+                    break
+                damping *= 0.3
+                continue
+            gained = best.cost - trial.cost
+            best, damping = trial, min(1.0, 2.0 * damping)
+            if gained < 1e-3:
+                break
+        return best
+
+    def best_starts(self, starts: list[Array]) -> list[Array]:
+        """The few of many starts that are best one step further."""
+        found: list[tuple[float, int, Array]] = []
+        for i, start in enumerate(starts):
+            # cost at the start and one Gauss-Newton step further
+            trial = self.run_about(self.inside(start), self.R)
+            if trial is None:
+                continue
+            further = self.run_about(self.inside(trial.memory.centre + trial.step), trial.power)
+            if further is None or further.cost >= trial.cost:
+                further = trial
+            found.append((further.cost, i, further.memory.centre))
+        return [point for _, _, point in sorted(found, key=lambda entry: entry[:2])[:_RIVALS]]
+
+    def last_step(self, best: _Pass) -> CoefficientMemory:
+        """Memory after the best pass, its last step taken."""
+        found, parts = best.memory, self.setup.layout.parts(best.memory.packed)
+        # take the last step where the linearization holds: within three standard deviations
+        step = self.inside(parts.theta + best.step) - parts.theta
+        if np.all(np.abs(step) < 3.0 * best.std + 1e-300):
+            parts.theta += step
+            parts.x += step @ parts.S
+        parts.delta[:] = 0.0
+        # noise level and count go on from the pass
+        parts.level[:] = best.power
+        parts.count[:] = parts.cost[1]
+        found = replace(found, centre=parts.theta.copy(), rounds=self.memory.rounds + 1)
+        return replace(found, kernel=self.setup.compile(found), discretized=found.discretized + 1)
+
+    def warn_of_offsets(self, best: _Pass) -> None:
+        """Warn if the first samples have a constant part that no effect takes.
+
+        Such a constant part distorts the coefficients.
+
+        Seen in what the best fit leaves, by the standard error of a mean of colored noise. But a fit that ran
+        away turns the constant into a slow motion: where it is the larger part of what the initial model
+        leaves, a fit without it must not be decisively better.
+        """
+        # an offset that an effect estimates needs no warning
+        setup, memory, labels = self.setup, self.memory, self.setup.model.output_labels
+        taken = {effect.place for effect in setup.effects if effect.spec.holds_constant}
+        flat = np.array([np.inf if label in taken else _FLAT for label in labels])
+        least = flat * memory.sizes[-len(labels) :]
+        # mean of the residual against its standard error, for colored noise
+        mean, error, _ = _means(best.left)
+        suspect = np.abs(mean) > np.maximum(_FAR * error, least)
+        # compare with the initial coefficients: an offset may hide in a distorted fit
+        other = self.run_about(memory.origin, best.power)
+        if other is not None:
+            mean, _, sd = _means(other.left)
+            large = ~suspect & (np.abs(mean) > np.maximum(sd, least))
+            # fit again without that mean: does the likelihood say that it was an offset?
+            for _ in range(2 * bool(large.any())):
+                mean = np.where(large, _means(other.left)[0], 0.0)
+                memory = replace(memory, outputs=memory.outputs - mean)
+                other = _Stretch(setup, memory).descend(other.memory.centre, _FEW) or other
+            _, error, sd = _means(other.left)
+            # colored noise: fewer independent samples than samples
+            wide = max(1.0, float(np.max(len(best.left) * (error / np.maximum(sd, 1e-300)) ** 2)))
+            suspect |= large & (best.cost - other.cost > _FAR**2 * wide)
+        for i in np.flatnonzero(suspect & (len(best.left) >= _ENOUGH)):
+            warn(
+                f"output {labels[i]!r}: the first samples have an offset that is not in the model and "
+                "distorts the coefficients; estimate it together with them: "
+                f"rco.Effect({OutputOffset.name!r}, {labels[i]!r})",
+                IdentifiabilityWarning,
+            )
 
 
 def _means(left: Array) -> tuple[Array, Array, Array]:
@@ -388,128 +479,9 @@ def _means(left: Array) -> tuple[Array, Array, Array]:
     return found[0], found[1], found[2]
 
 
-def _best_starts(
-    setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], starts: list[Array]
-) -> list[Array]:
-    """The few of many starts that are best one step further."""
-    lower, upper = setup.bounds_about(memory.origin)
-    R = np.maximum(memory.sizes[-setup.layout.ny :] ** 2, 1e-300)
-    found: list[tuple[float, int, Array]] = []
-    for i, start in enumerate(starts):
-        # cost at the start and one Gauss-Newton step further
-        trial = _run_about(setup, memory, initial, np.clip(start, lower, upper), R)
-        if trial is None:
-            continue
-        aim = np.clip(trial.memory.centre + trial.step, lower, upper)
-        further = _run_about(setup, memory, initial, aim, trial.power)
-        if further is not None and further.cost < trial.cost:
-            found.append((further.cost, i, aim))
-        else:
-            found.append((trial.cost, i, trial.memory.centre))
-    return [point for _, _, point in sorted(found, key=lambda entry: entry[:2])[:_RIVALS]]
-
-
-def _same_minimum(setup: EffectsSetup, one: _Pass, other: _Pass) -> bool:
-    """Return whether two descents ended in the same minimum."""
-    spread = np.sqrt(np.diag(setup.layout.view(other.memory.packed, "Pt")))
-    return bool(np.all(np.abs(one.memory.centre - other.memory.centre) < 3.0 * spread))
-
-
-def _descend(
-    setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], start: Array, passes: int
-) -> _Pass | None:
-    lower, upper = setup.bounds_about(memory.origin)
-    ny = setup.layout.ny
-    R = np.maximum(memory.sizes[-ny:] ** 2, 1e-300)
-    # noise variance first from the size of the outputs, then from the residual of the first pass
-    best = _run_about(setup, memory, initial, np.clip(start, lower, upper), R)
-    if best is None:
-        return None
-    best = _run_about(setup, memory, initial, best.memory.centre, best.power) or best
-    damping = 1.0
-    # Gauss-Newton with a damped step, inside the bounds
-    for _ in range(passes):
-        aim = np.clip(best.memory.centre + damping * best.step, lower, upper)
-        trial = _run_about(setup, memory, initial, aim, best.power)
-        if trial is None or trial.cost >= best.cost:
-            # no descent: shorten the step, or stop where it is small against the deviations
-            spread = np.sqrt(np.diag(setup.layout.view(best.memory.packed, "Pt")))
-            if damping < 0.02 or np.all(np.abs(damping * best.step) < 1e-2 * spread):
-                break
-            damping *= 0.3
-            continue
-        gained = best.cost - trial.cost
-        best, damping = trial, min(1.0, 2.0 * damping)
-        if gained < 1e-3:
-            break
-    return best
-
-
-def _run_about(
-    setup: EffectsSetup, memory: CoefficientMemory, initial: tuple[Array, Array], theta: Array, R: Array
-) -> _Pass | None:
-    """Run over the stretch about `theta`; None where that leaves all bounds."""
-    lay = setup.layout
-    packed = np.zeros(lay.size)
-    # start at theta; delta: the mean of the prior relative to it
-    lay.view(packed, "theta")[:] = theta
-    lay.view(packed, "delta")[:] = memory.origin - theta
-    lay.view(packed, "x")[:], lay.view(packed, "Pb")[:] = initial
-    lay.view(packed, "Pt")[:] = np.diag(memory.spread**2)
-    counters = setup.counters()
-    about = replace(memory, packed=packed, counters=counters, centre=theta.copy())
-    kernel = setup.compile(about)
-    if not np.isfinite(kernel.fixed).all() and not np.isfinite(kernel.fixed[4 * lay.p :]).all():
-        return None
-    # the noise is the same in all passes that are compared
-    fixed = kernel.fixed.copy()
-    floor = np.maximum(kernel.floor, R)
-    fixed[floor_at(lay)] = floor
-    course = lay.record(len(memory.inputs))
-    done, _ = replace(kernel, fixed=fixed).over(packed, counters, memory.first, course, frozen=True)
-    if done < len(memory.inputs) or not np.isfinite(packed).all():
-        return None
-    cost, count = lay.view(packed, "cost")
-    power = np.where(count > 0, cost / np.maximum(count, 1.0), R)
-    # minus twice the log-likelihood, noise variances concentrated out, plus the prior
-    total = float(np.sum(count * np.log(np.maximum(power, kernel.floor) + 1e-300)))
-    away = (theta - memory.origin) / memory.spread
-    step = lay.view(packed, "delta").copy()
-    about = replace(about, discretized=memory.discretized + 1, kernel=kernel)
-    left = np.where(memory.use, memory.outputs - course.predicted, np.nan)
-    return _Pass(about, step, power, total + float(away @ away), left)
-
-
-def _take_last_step(setup: EffectsSetup, best: _Pass, memory: CoefficientMemory) -> CoefficientMemory:
-    """Memory after the best pass, its last step taken."""
-    lay = setup.layout
-    lower, upper = setup.bounds_about(memory.origin)
-    found = best.memory
-    packed = found.packed
-    theta = lay.view(packed, "theta")
-    # take the last step where the linearization holds: within three standard deviations
-    step = np.clip(theta + best.step, lower, upper) - theta
-    if np.all(np.abs(step) < 3.0 * np.sqrt(np.diag(lay.view(packed, "Pt"))) + 1e-300):
-        theta += step
-        lay.view(packed, "x")[:] += step @ lay.view(packed, "S")
-    lay.view(packed, "delta")[:] = 0.0
-    lay.view(packed, "level")[:] = best.power
-    # noise level and count go on from the pass
-    lay.view(packed, "count")[:] = lay.view(packed, "cost")[1]
-    found = replace(found, centre=theta.copy(), rounds=memory.rounds + 1)
-    return replace(found, kernel=setup.compile(found), discretized=found.discretized + 1)
-
-
 def _with_sizes(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientMemory:
     """Sizes of signals, widths of laws and priors, from the samples so far."""
-    inputs, outputs = memory.inputs, np.where(memory.use, memory.outputs, np.nan)
-    with np.errstate(invalid="ignore"):
-        # root mean square of outputs and inputs, gaps left out
-        count = np.maximum(memory.use.sum(axis=0), 1)
-        y_size = np.sqrt(np.nansum(outputs**2, axis=0) / count)
-    w_size = np.sqrt(np.mean(inputs**2, axis=0))
-    sizes = np.concatenate([w_size, np.where(y_size > 0, y_size, 1.0)])
-    memory = replace(memory, sizes=sizes)
+    memory = replace(memory, sizes=signal_sizes(memory))
     memory = replace(memory, widths=_widths(setup, memory))
     if memory.spread.size:
         return memory
@@ -527,13 +499,12 @@ def _with_shapes(setup: EffectsSetup, memory: CoefficientMemory) -> CoefficientM
     start = shape_starts(setup.structure(memory.widths), memory.origin.copy(), _motion(setup, memory))[0]
     # a level that goes with a shape (friction) starts with it, or the shape has no gradient
     packed = memory.packed.copy()
-    setup.layout.view(packed, "theta")[:] = start
+    setup.layout.parts(packed).theta[:] = start
     return replace(memory, origin=start, packed=packed)
 
 
 def _motion(setup: EffectsSetup, memory: CoefficientMemory) -> Any:
     from ...data.measurement import Measurement
-    from ...engine.structure import Structure
     from ...inference.starts import estimated_motion
 
     data = Measurement(
@@ -588,9 +559,8 @@ def _prior(setup: EffectsSetup, memory: CoefficientMemory) -> Array:
     return spread
 
 
-def _initial_state(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[Array, Array]:
-    """Mean and covariance of the state at the first sample."""
-    lay = setup.layout
+def _state_sizes(setup: EffectsSetup, memory: CoefficientMemory) -> Array:
+    """Standard deviation of the state at the first sample."""
     structure = setup.structure(memory.widths)
     # simulate without the force laws from rest, with the sensitivity to the initial state
     engine = engine_on(setup, structure, memory.inputs, memory.outputs)
@@ -598,7 +568,7 @@ def _initial_state(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[Arra
     if structure.port_columns.size:
         calm[structure.port_columns] = 0.0
     run = engine.run(calm, sensitivity=False, initial_state=True, histories=True, check=False)
-    y_size = memory.sizes[-lay.ny :]
+    y_size = memory.sizes[-setup.layout.ny :]
     with np.errstate(all="ignore"):
         moving = np.sqrt(np.mean(np.nan_to_num(run.states) ** 2, axis=1))
         C = structure.matrices(calm).C
@@ -608,8 +578,7 @@ def _initial_state(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[Arra
     size = np.hypot(np.where(np.isfinite(moving), moving, 0.0), read)
     # a state without a size: as large as would be seen at the outputs
     reach = np.where(np.isfinite(shown) & (shown > 0), 1.0 / np.where(shown > 0, shown, 1.0), 0.0)
-    size = np.where(size > 0, 3.0 * size, 3.0 * reach)
-    return np.zeros(lay.n), np.diag(size**2)
+    return np.where(size > 0, 3.0 * size, 3.0 * reach)
 
 
 def _starts(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[list[Array], list[Array]]:
@@ -620,7 +589,7 @@ def _starts(setup: EffectsSetup, memory: CoefficientMemory) -> tuple[list[Array]
     """
     from ...inference.starts import shape_starts
 
-    starts = [setup.layout.view(memory.packed, "theta").copy(), *memory.rivals]
+    starts = [setup.layout.parts(memory.packed).theta.copy(), *memory.rivals]
     if memory.rounds:
         starts.append(memory.origin.copy())
     far: list[Array] = []

@@ -21,7 +21,7 @@ from ...systems.conversion import to_discrete
 from ...systems.discretization import exponential
 from ...systems.linear import Array, LinearModel
 from .kernel import Kernel, Layout
-from .setup import DOUBT, NEVER, CoefficientMemory, CoefficientSetup, FilterSettings, advanced
+from .setup import DOUBT, NEVER, CoefficientMemory, CoefficientSetup, FilterSettings, advanced, signal_sizes
 
 # Samples at which the first ones are gone over: a wrong start spoils what was learned from them.
 MILESTONES = (32, 64, 128, 256, 512, 1024, 2048)
@@ -135,28 +135,16 @@ class EntriesSetup(CoefficientSetup):
 
         Where that diverges, the filter goes on as it was.
         """
-        lay = self.layout
         # first samples give the sizes of signals and with them the prior
         memory = _with_sizes(self, memory)
         # filter as at the start, but about the present coefficients
-        packed = np.zeros(lay.size)
-        theta = lay.view(memory.packed, "theta").copy()
-        lay.view(packed, "theta")[:] = theta
-        lay.view(packed, "Pb")[:] = np.diag(memory.states**2)
-        lay.view(packed, "Pt")[:] = self.prior_covariance(memory.spread)
-        lay.view(packed, "level")[:] = memory.sizes[-lay.ny :] ** 2
-        lay.view(packed, "count")[:] = DOUBT
-        about = replace(
-            memory,
-            packed=packed,
-            counters=self.counters(),
-            centre=theta,
-            rounds=memory.rounds + 1,
-            kernel=None,
-            doubted=0,
-        )
+        about = self.about(memory, self.layout.parts(memory.packed).theta)
+        parts = self.layout.parts(about.packed)
+        parts.level[:] = memory.sizes[-self.layout.ny :] ** 2
+        parts.count[:] = DOUBT
+        about = replace(about, rounds=memory.rounds + 1, doubted=0)
         # run over the samples that were kept from the beginning
-        found, done = advanced(self, about, about.first, lay.record(0))
+        found, done = advanced(self, about, about.first, self.layout.record(0))
         if done == len(about.inputs) and np.isfinite(found.packed).all():
             return found
         if memory.rounds == 0:  # from now on sample by sample: the guard says where it fails
@@ -232,7 +220,7 @@ class EntriesSetup(CoefficientSetup):
         # singular directions of the response change; those that change nothing get no prior variance
         _, sizes, directions = np.linalg.svd(self._response_change * spread)
         seen = directions[: np.count_nonzero(sizes > _UNSEEN * sizes[0])]
-        return np.asarray((seen * spread).T @ (seen * spread))
+        return (seen * spread).T @ (seen * spread)
 
     @cached_property
     def _response_change(self) -> Array:
@@ -285,11 +273,8 @@ class EntriesSetup(CoefficientSetup):
 
 def _with_sizes(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMemory:
     """Return the memory with signal and state sizes and a matching prior."""
-    count = np.maximum(memory.use.sum(axis=0), 1)
-    # root mean square of outputs and inputs over the first samples
-    outputs = np.sqrt(np.sum(np.where(memory.use, memory.outputs, 0.0) ** 2, axis=0) / count)
-    outputs = np.where(outputs > 0, outputs, 1.0)
-    inputs = np.sqrt(np.mean(memory.inputs**2, axis=0))
+    sizes = signal_sizes(memory)
+    inputs, outputs = np.split(sizes, [setup.base.n_inputs])
     # an unstable model is followed no longer than it takes to grow twentyfold: under a controller its
     # states do not leave that range either
     discrete = to_discrete(setup.base, setup.settings.dt, setup.settings.hold)
@@ -301,7 +286,7 @@ def _with_sizes(setup: EntriesSetup, memory: CoefficientMemory) -> CoefficientMe
     states = np.hypot(np.sqrt(state_power(discrete.A, discrete.B, memory.inputs[:span])), shown)
     states = np.where(states > 0, states, 1.0)
     spread = setup.prior(states, inputs, outputs)
-    return replace(memory, sizes=np.concatenate([inputs, outputs]), states=states, spread=spread)
+    return replace(memory, sizes=sizes, states=states, spread=spread)
 
 
 FORMS = ("nonzero", "discrete", "input")

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -78,10 +79,10 @@ class Layout:
         """Length of the memory."""
         return sum(int(np.prod(shape)) for shape in self.shapes.values())
 
-    def view(self, memory: Array, name: str) -> Array:
-        """One quantity, as a view into the memory."""
-        part, shape = _places(self)[name]
-        return memory[part].reshape(shape)
+    def parts(self, memory: Array) -> SimpleNamespace:
+        """Quantities by name, as views into the memory."""
+        places = _places(self).items()
+        return SimpleNamespace(**{name: memory[part].reshape(shape) for name, (part, shape) in places})
 
     def record(self, n_samples: int) -> CoefficientRecord:
         """Room for the course over some samples, nothing known of it yet."""

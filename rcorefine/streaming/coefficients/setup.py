@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import control as ct
@@ -15,7 +16,7 @@ from ...arguments import as_noise, as_number, as_text
 from ...exceptions import DivergenceError, ModelError
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
-from ..history import PARAMETERS, Summary
+from ..history import PARAMETERS, Summary, rates
 from ..persistence import check_course, check_like, check_range, storable
 from ..samples import Block, Complex, Flags, Integers
 from .kernel import DIVERGED, DONE, MOVED, SURPRISED, CoefficientRecord, Kernel, Layout
@@ -128,8 +129,6 @@ class FilterSettings:
         Unknown force over the measured input, rms.
     forgetting : float
         Share of the information along the excited direction that a sample keeps.
-    start_samples : int
-        Samples that are gone over again while the model improves.
     """
 
     dt: float
@@ -137,7 +136,6 @@ class FilterSettings:
     noise: Array
     disturbance: float
     forgetting: float
-    start_samples: int = 2048
 
     @property
     def loose(self) -> bool:
@@ -217,7 +215,7 @@ class CoefficientSetup(ABC):
         origin = np.clip(self.start(), lower, upper)
         # all zero but the coefficients: sizes and priors follow from the first samples
         packed = np.zeros(lay.size)
-        lay.view(packed, "theta")[:] = origin
+        lay.parts(packed).theta[:] = origin
         return CoefficientMemory(
             packed=packed,
             counters=self.counters(),
@@ -281,7 +279,7 @@ class CoefficientSetup(ABC):
 
         It is no part of `prior_covariance`: no sample changes it.
         """
-        return np.asarray(np.diag(spread**2) - self.prior_covariance(spread))
+        return np.diag(spread**2) - self.prior_covariance(spread)
 
     def renewed(self, memory: CoefficientMemory) -> CoefficientMemory:
         """Return a memory that no longer trusts its state.
@@ -291,27 +289,46 @@ class CoefficientSetup(ABC):
         A bump moves the state alone. Where the coefficients were learned from something that is
         over, they begin anew as the initial ones: they may be far off.
         """
-        lay, packed = self.layout, memory.packed.copy()
-        counters = self.counters()
+        packed, counters = memory.packed.copy(), self.counters()
+        parts = self.layout.parts(packed)
         counters[0] = memory.n_samples
         # covariance reset: the state is as uncertain as at the start
-        lay.view(packed, "Pb")[:] = np.diag(memory.states**2)
-        lay.view(packed, "surprise")[:] = 0.0
+        parts.Pb[:] = np.diag(memory.states**2)
+        parts.surprise[:] = 0.0
         # first surprise in a long time: trust the coefficients, renew the state only
         if memory.doubted == 0 or memory.n_samples - memory.doubted > _SOON:
             return replace(memory, packed=packed, counters=counters, doubted=memory.n_samples)
         # second one soon after: reset the coefficients to the initial model, too
-        lay.view(packed, "theta")[:] = memory.origin
-        lay.view(packed, "S")[:] = 0.0
-        lay.view(packed, "Pt")[:] = self.prior_covariance(memory.spread)
-        level = lay.view(packed, "level")
+        parts.theta[:] = memory.origin
+        parts.S[:] = 0.0
+        parts.Pt[:] = self.prior_covariance(memory.spread)
         # the quick level of the innovations holds now
-        level[1] = np.maximum(level[0], level[1])
-        lay.view(packed, "count")[:] = DOUBT
+        parts.level[1] = parts.level.max(axis=0)
+        parts.count[:] = DOUBT
         return replace(
             memory, packed=packed, counters=counters, centre=memory.origin.copy(), kernel=None, doubted=0,
             renewed=memory.renewed + 1,
         )  # fmt: skip
+
+    def about(self, memory: CoefficientMemory, theta: Array) -> CoefficientMemory:
+        """Memory before the first sample, about these coefficients."""
+        packed = np.zeros(self.layout.size)
+        parts = self.layout.parts(packed)
+        parts.theta[:] = theta
+        parts.Pb[:] = np.diag(memory.states**2)
+        parts.Pt[:] = self.prior_covariance(memory.spread)
+        return replace(memory, packed=packed, counters=self.counters(), centre=theta.copy(), kernel=None)
+
+
+def signal_sizes(memory: CoefficientMemory) -> Array:
+    """Rms of inputs and outputs over the first samples, gaps left out.
+
+    It is 1 for an output that is zero.
+    """
+    outputs = np.where(memory.use, memory.outputs, 0.0)
+    y = np.sqrt(np.sum(outputs**2, axis=0) / np.maximum(memory.use.sum(axis=0), 1))
+    w = np.sqrt(np.mean(memory.inputs**2, axis=0))
+    return np.concatenate([w, np.where(y > 0, y, 1.0)])
 
 
 def floor_at(lay: Layout) -> slice:
@@ -374,89 +391,84 @@ def cautions(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
     """Return the reasons not to trust the coefficients."""
     if memory.rounds == 0 or not memory.spread.size:
         return []
-    lay = setup.layout
-    names = setup.labels
+    of = _pole_caution, _bound_caution, _doubt_cautions, _error_cautions, _decay_caution
+    return [sentence for caution in of for sentence in caution(setup, memory)]
+
+
+def _doubt_cautions(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
+    """Coefficients that the samples do not determine, or not one by one."""
+    found, names = [], np.array(setup.labels, dtype=object)
     # standard deviations from the covariance of the filter
-    P = lay.view(memory.packed, "Pt")
+    P = setup.layout.parts(memory.packed).Pt
     std = np.sqrt(np.maximum(np.diag(P), 0.0))
-    found = [*_pole_caution(setup, memory), *_bound_caution(setup, memory)]
-    # not excited: the posterior deviation is close to the prior
-    blind = [
-        name for name, own, prior in zip(names, std, memory.spread, strict=True) if own > _UNLEARNED * prior
-    ]
     # held: the prior fixes more than the data determine
-    held = np.diag(setup.held_covariance(memory.spread))
-    together = [name for name, own, of in zip(names, std, held, strict=True) if of > own**2]
-    if together:
+    together = names[np.diag(setup.held_covariance(memory.spread)) > std**2]
+    if together.size:
         found.append(
             f"Determined only together: {', '.join(together)}. What no sample changes is held "
             "at the initial model, and std is that of its prior."
         )
-    if blind:
+    # not excited: the posterior deviation is close to the prior
+    blind = names[std > _UNLEARNED * memory.spread]
+    if blind.size:
         found.append(f"Not excited: the samples hardly determine {', '.join(blind)}; excite or omit it.")
     # nearly collinear estimates
     with np.errstate(divide="ignore", invalid="ignore"):
-        correlation = np.abs(P) / np.outer(std, std)
-    pairs = [
-        f"{names[i]} and {names[j]}"
-        for i in range(len(names))
-        for j in range(i)
-        if correlation[i, j] > _ALIKE
-    ]
-    if pairs:
-        found.append(f"Hardly distinguished by these sensors: {'; '.join(pairs[:3])}.")
-    # unexplained: innovations above the declared noise, or above a share of the signal
-    level = np.sqrt(lay.view(memory.packed, "level")[1])
-    size = memory.sizes[-lay.ny :]
-    for label, left, whole, declared in zip(
-        setup.model.output_labels, level, size, setup.settings.noise, strict=True
-    ):
-        if declared > 0 and left > 2.0 * declared:
-            found.append(
-                f"Not explained: the prediction error of {label} is {left:.3g}, the declared noise "
-                f"{declared:.3g}. An effect is missing or at another place."
-            )
-        elif declared == 0 and left > _UNEXPLAINED * whole:
-            found.append(
-                f"Not explained: the prediction error of {label} is {100 * left / whole:.3g} % of its rms. "
-                "Unless this is noise, an effect is missing or at another place (rcorefine.diagnose ranks "
-                "the candidates)."
-            )
-    # memory of the initial state: time constant of the slowest pole against the length
-    poles = _poles(setup, memory)
-    slowest = -float(np.max(poles.real, initial=-np.inf))
-    if slowest > 0 and memory.n_samples * setup.settings.dt * slowest < 1.0 and memory.counters[1] > 0:
-        found.append(
-            f"Not decayed: the slowest mode has a time constant of {1 / slowest:.3g} s and the stream is "
-            f"{memory.n_samples * setup.settings.dt:.3g} s long. The unknown initial state still affects "
-            "the coefficients."
-        )
+        alike = np.argwhere(np.tril(np.abs(P) / np.outer(std, std) > _ALIKE, -1))
+    if alike.size:
+        pairs = "; ".join(f"{names[i]} and {names[j]}" for i, j in alike[:3])
+        found.append(f"Hardly distinguished by these sensors: {pairs}.")
     return found
 
 
-def _poles(setup: CoefficientSetup, memory: CoefficientMemory) -> Complex:
-    """Return the poles of the present model in rad/s.
+def _error_cautions(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
+    """Innovations above the declared noise, or above a share of the signal."""
+    found = []
+    level = np.sqrt(setup.layout.parts(memory.packed).level[1])
+    rows = zip(
+        setup.model.output_labels, level, memory.sizes[-level.size :], setup.settings.noise, strict=True
+    )
+    for label, left, whole, declared in rows:
+        error = f"Not explained: the prediction error of {label} is"
+        if declared > 0 and left > 2.0 * declared:
+            found.append(
+                f"{error} {left:.3g}, the declared noise {declared:.3g}. An effect is missing or at another "
+                "place."
+            )
+        elif declared == 0 and left > _UNEXPLAINED * whole:
+            found.append(
+                f"{error} {100 * left / whole:.3g} % of its rms. Unless this is noise, an effect is missing "
+                "or at another place (rcorefine.diagnose ranks the candidates)."
+            )
+    return found
 
-    Complex of a discrete model are converted to continuous time.
+
+def _decay_caution(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
+    """Caution where the initial state still matters.
+
+    The time constant of the slowest pole is compared with the length of the stream.
     """
-    theta = setup.layout.view(memory.packed, "theta")
+    slowest = -float(np.max(_poles(setup, memory).real, initial=-np.inf))
+    length = memory.n_samples * setup.settings.dt
+    if slowest <= 0 or length * slowest >= 1.0 or memory.counters[1] == 0:
+        return []
+    return [
+        f"Not decayed: the slowest mode has a time constant of {1 / slowest:.3g} s and the stream is "
+        f"{length:.3g} s long. The unknown initial state still affects the coefficients."
+    ]
+
+
+def _poles(setup: CoefficientSetup, memory: CoefficientMemory) -> Complex:
+    """Poles of the present model in rad/s."""
+    theta = setup.layout.parts(memory.packed).theta
     if not np.isfinite(theta).all():
         return np.zeros(0, dtype=complex)
-    return _continuous_poles(setup.system(theta, memory.widths, "refined"), setup.settings.dt)
-
-
-def _continuous_poles(model: LinearModel, dt: float) -> Complex:
-    poles = np.linalg.eigvals(model.A).astype(complex)
-    if model.is_continuous:
-        return poles
-    # s = ln(z) / dt
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(poles) / dt)
+    return rates(setup.system(theta, memory.widths, "refined"), setup.settings.dt)
 
 
 def _pole_caution(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
     # compare with the initial model: it may be unstable itself
-    before = _continuous_poles(setup.model, setup.settings.dt).real.max(initial=-np.inf)
+    before = rates(setup.model, setup.settings.dt).real.max(initial=-np.inf)
     poles = _poles(setup, memory)
     if not poles.size:
         return []
@@ -471,14 +483,9 @@ def _pole_caution(setup: CoefficientSetup, memory: CoefficientMemory) -> list[st
 
 
 def _bound_caution(setup: CoefficientSetup, memory: CoefficientMemory) -> list[str]:
-    theta = setup.layout.view(memory.packed, "theta")
-    lower, upper = setup.bounds
-    held = [
-        label
-        for label, value, low, high in zip(setup.labels, theta, lower, upper, strict=True)
-        if (value <= low and value != 0) or (value >= high and value != 0)
-    ]
-    return [f"At its bound: {', '.join(held)}."] if held else []
+    theta, (lower, upper) = setup.layout.parts(memory.packed).theta, setup.bounds
+    held = np.array(setup.labels, dtype=object)[((theta <= lower) | (theta >= upper)) & (theta != 0)]
+    return [f"At its bound: {', '.join(held)}."] if held.size else []
 
 
 def take(
@@ -556,7 +563,7 @@ def advanced(
             memory = setup.renewed(memory)
         # coefficients moved too far for the linearization: discretize about them
         if why == MOVED:
-            centre = setup.layout.view(memory.packed, "theta").copy()
+            centre = setup.layout.parts(memory.packed).theta.copy()
             memory = replace(memory, centre=centre, discretized=memory.discretized + 1, kernel=None)
     return memory, position
 
@@ -642,9 +649,14 @@ class CoefficientFilter:
     # -- results -----------------------------------------------------------------------------------
 
     @property
+    def parts(self) -> SimpleNamespace:
+        """Quantities of the memory by name."""
+        return self.setup.layout.parts(self.memory.packed)
+
+    @property
     def theta(self) -> Array:
         """Coefficients, shape (p,)."""
-        return self.setup.layout.view(self.memory.packed, "theta").copy()
+        return np.array(self.parts.theta)
 
     @property
     def covariance(self) -> Array:
@@ -652,12 +664,12 @@ class CoefficientFilter:
 
         It is infinite before anything is learned. Where coefficients are held, it is that of their prior.
         """
-        found = self.setup.layout.view(self.memory.packed, "Pt").copy()
+        found = np.array(self.parts.Pt)
         # before the first milestone nothing is learned
         if not found.any():
             found[np.diag_indices_from(found)] = np.inf
             return found
-        return np.asarray(found + self.setup.held_covariance(self.memory.spread))
+        return found + self.setup.held_covariance(self.memory.spread)
 
     @property
     def standard_deviations(self) -> Array:
@@ -665,17 +677,12 @@ class CoefficientFilter:
 
         They are infinite before anything is learned.
         """
-        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)))
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def parameters(self) -> tuple[Any, ...]:
         """Rows: name, kind, place, initial, value, coefficient, std, unit, role."""
         return self.setup.rows(self.theta, self.standard_deviations)
-
-    @property
-    def noise(self) -> Array:
-        """Level of the innovations, shape (n_y,)."""
-        return np.asarray(np.sqrt(self.setup.layout.view(self.memory.packed, "level")[1]))
 
     form = "coefficients"
 
@@ -708,7 +715,7 @@ class CoefficientFilter:
         if memory.rounds == 0:  # still the initial model, from rest
             inputs = np.vstack([memory.inputs, inputs])
             packed = np.zeros(setup.layout.size)
-            setup.layout.view(packed, "theta")[:] = memory.centre
+            setup.layout.parts(packed).theta[:] = memory.centre
             memory = replace(memory, packed=packed, counters=np.array([1, 0, 0]), kernel=None)
         memory = replace(
             memory, rounds=1 << 30, inputs=memory.inputs[:0], outputs=memory.outputs[:0], rivals=memory.rivals
@@ -749,8 +756,8 @@ class CoefficientFilter:
         """Sentences about the coefficients."""
         if self.memory.rounds == 0:
             return ["The first samples are held back until the size of the signals is known."]
-        labels = self.setup.model.output_labels
-        levels = ", ".join(f"{label} {level:.3g}" for label, level in zip(labels, self.noise, strict=True))
+        errors = zip(self.setup.model.output_labels, np.sqrt(self.parts.level[1]), strict=True)
+        levels = ", ".join(f"{label} {level:.3g}" for label, level in errors)
         return [
             "std is the standard deviation of the value at this sample, for white innovations. "
             f"Prediction error one sample ahead (rms): {levels}.",

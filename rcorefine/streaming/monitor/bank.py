@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
@@ -107,16 +107,26 @@ class Bank:
         return int(self.owner.size)
 
 
-@dataclass(slots=True)
-class _Column:
-    owner: int
-    name: str
-    code: int
+class _Place(NamedTuple):
+    """Place of an effect in the model.
+
+    d, v : what it senses of [x; w]; act, through : where its force acts; hold : that of an input.
+    """
+
     d: Array
     v: Array
     act: Array
     through: Array
-    hold: str
+    hold: str = "foh"
+
+
+class _Column(NamedTuple):
+    """Law of one column: its coefficients, and which of them it stands for."""
+
+    owner: int
+    name: str
+    code: int
+    place: _Place
     values: tuple[float, ...] = ()
     width: float = 1.0
     pick: int = 0
@@ -178,34 +188,42 @@ def build_bank(
     A = _linearize_along(structure, theta, data, gain)
     found: list[_Column] = []
     for owner, effect in enumerate(effects):
-        found += _columns(structure, theta, A, owner, effect, motion)
+        place = _place(structure, theta, A, effect, hold)
+        found += _columns(structure, place, owner, effect, motion)
+    owner_of, names, codes, places, values, widths, pick = zip(*found, strict=True)
+    d, v, act, through, holds = zip(*places, strict=True)
     n, k = structure.n_states, len(found)
     # forces pass to the states over one sample: those of inputs with their hold, others linear
-    drive = np.zeros((2, n, k))
-    for hold_of in ("foh", "zoh"):
-        which = [j for j, c in enumerate(found) if (hold if c.hold == "input" else "foh") == hold_of]
-        if which:
-            acts = np.column_stack([found[j].act for j in which])
-            _, drive[0][:, which], drive[1][:, which] = discretize(A, acts, data.dt, hold_of)
+    drive, acts = np.zeros((2, n, k)), np.array(act).T
+    for own in set(holds):
+        which = np.array(holds) == own
+        _, drive[0][:, which], drive[1][:, which] = discretize(A, acts[:, which], data.dt, own)
     bank = Bank(
-        effects,
-        np.array([c.owner for c in found], dtype=np.int64),
-        np.ascontiguousarray(np.stack([[c.d for c in found], [c.v for c in found]])),
-        np.array([c.code for c in found], dtype=np.int64),
-        np.array([(*c.values, 0.0, 0.0, 0.0, 0.0)[:4] for c in found]),
-        np.array([c.width for c in found]),
-        np.array([c.pick for c in found], dtype=np.int64),
-        drive,
-        np.ascontiguousarray(np.column_stack([c.through for c in found])),
-        tuple(c.name for c in found),
-        np.ascontiguousarray(discretize(A, np.zeros((n, 1)), data.dt)[0]),
-        np.ascontiguousarray(structure.matrices(theta).C.astype(float)),
-        np.ones(k),
-        sum(column.owner < len(candidates) for column in found),
-        np.zeros(0, dtype=np.int64),
-        np.zeros((0, 0)),
+        effects=effects,
+        owner=np.array(owner_of, dtype=np.int64),
+        rows=np.array([d, v]),
+        codes=np.array(codes, dtype=np.int64),
+        values=np.array([(*row, 0.0, 0.0, 0.0, 0.0)[:4] for row in values]),
+        widths=np.array(widths),
+        pick=np.array(pick, dtype=np.int64),
+        drive=drive,
+        through=np.ascontiguousarray(np.array(through).T),
+        names=names,
+        Phi=np.ascontiguousarray(discretize(A, np.zeros((n, 1)), data.dt)[0]),
+        C=np.ascontiguousarray(structure.matrices(theta).C.astype(float)),
+        scale=np.ones(k),
+        watched=sum(owner < len(candidates) for owner in owner_of),
+        numbers=np.zeros(0, dtype=np.int64),
+        root=np.zeros((0, 0)),
     )
-    unit = _unit_scales(bank, structure, theta, data, gain)
+    return _with_numbers(bank, numbers, _unit_scales(bank, structure, theta, data, gain))
+
+
+def _with_numbers(bank: Bank, numbers: Numbers, unit: Array) -> Bank:
+    """Return the bank in units of its forces.
+
+    It knows which of its columns are uncertain parameters.
+    """
     # a law that has nothing to work on here, as hysteresis without a displacement
     idle = unit == 0
     bank = replace(bank, scale=unit, codes=np.where(idle, CODES["constant"], bank.codes))
@@ -255,85 +273,89 @@ def _linearize_along(structure: Structure, theta: Array, data: Measurement, gain
     return linearized(structure, theta, run, data.inputs)[0]
 
 
-def _columns(
-    structure: Structure, theta: Array, A: Array, owner: int, effect: Effect, motion: Motion
-) -> list[_Column]:
+def _place(structure: Structure, theta: Array, A: Array, effect: Effect, hold: str) -> _Place:
+    """Place of an effect in the model.
+
+    The model is linearized as `A`.
+    """
     m, linear, law = structure.matrices(theta), structure.linear_model, effect.spec
     n, nw, ny = structure.n_states, structure.n_inputs, structure.n_outputs
     B, C, D = m.B[:, :nw].astype(float), m.C.astype(float), m.D[:, :nw].astype(float)
     # row vectors over [x; w]: d is the displacement that the law senses, v the velocity
-    d, unit, first = np.zeros(n + nw), np.eye(n + nw), effect.coefficients[0]
-    hold, width = "foh", 1.0
-    shapes: list[dict[str, float]] = [{}]
-    if not law.signal or (law.shaping and law.at_channel):
-        shapes = _shapes(structure, theta, effect, motion)
+    nothing, unit, rate = np.zeros(n + nw), np.eye(n + nw), structure.model.output_rate
     # entry of a linear model: the coefficient times state or input `column` drives `row`
     if "any" in law.where and law.is_parameter:
         row, column = entry_among(structure, effect.place)
         act, read = np.split(np.eye(n + ny)[row], [n])
-        rate = structure.model.output_rate
-        through, v = rate @ act[: rate.shape[1]] + read, unit[column]
+        return _Place(nothing, unit[column], act, rate @ act[: rate.shape[1]] + read)
     # effect of an input or an output: it acts where the signal does and senses it
-    elif law.at_channel:
+    if law.at_channel:
         if "input" in law.where:
             i = linear.input_labels.index(effect.place)
-            act, through, v, hold = B[:, i], D[:, i], unit[n + i], "input"
+            place = _Place(nothing, unit[n + i], B[:, i], D[:, i], hold)
         else:
             i = linear.output_labels.index(effect.place)
-            act, through, v = np.zeros(n), np.eye(ny)[i], np.concatenate([C[i], D[i]])
-        if not law.signal:
-            d, v = v, d
+            place = _Place(nothing, np.concatenate([C[i], D[i]]), np.zeros(n), np.eye(ny)[i])
+        return place if law.signal else place._replace(d=place.v, v=nothing)
     # force at a port: relative velocity and displacement, in the outputs by the acceleration
-    else:
-        port = structure.model.port(effect.place)
-        pad = (0, n - port.act.size)
-        act, through = np.pad(port.act, pad), felt(port, structure.model.output_rate)
-        v = np.concatenate([np.pad(port.velocity, pad), port.velocity_input])
-        # inertial force: the velocity rows become acceleration rows, v' A x + v' B w
-        if law.inertial:
-            v = np.concatenate([v[:n] @ A, v[:n] @ B + port.acceleration_input])
-        elif "acceleration" in law.senses:  # what fills a store
-            d = v[:n] @ np.hstack([A, B]) / -(v[:n] @ act)
-        else:
-            d = np.concatenate([np.pad(port.position, pad), port.position_input])
-        if not law.signal:
-            width = law_widths(Structure(structure.model, [effect]), motion).get(0, 1.0)
-    place = d, v, act, through, hold
-    if law.signal:
-        # laws without a formula of their own: one column per shape
-        values = [(0.0, shape[first]) if shape else () for shape in shapes]
-        return [_Column(owner, first, CODES[law.signal], *place, shape) for shape in values]
-    # other laws: a column for each coefficient that is a factor of the force
-    strengths = [
-        (c, name)
-        for c, name in enumerate(effect.coefficients)
-        if name not in law.shaping and name not in effect.fixed
-    ]
-    assert isinstance(law, FormulaLaw)
-    # addresses of tables are filled in by each process
-    here = dict.fromkeys(law.addresses, 0.0)
-    known = [{**effect.constants, **effect.fixed, **shape, **here} for shape in shapes]
-    rows = [tuple(float(constants.get(name) or 0.0) for name in law.row) for constants in known]
-    return [
-        _Column(owner, name or first, 0 if name else CODES["change"], *place, row, width, c)
-        for row in rows
-        # a law without such a coefficient: its change against the displacement alone
-        for c, name in strengths or [(0, "")]
-    ]
+    port = structure.model.port(effect.place)
+    pad = (0, n - port.act.size)
+    act = np.pad(port.act, pad)
+    d = np.concatenate([np.pad(port.position, pad), port.position_input])
+    v = np.concatenate([np.pad(port.velocity, pad), port.velocity_input])
+    # inertial force: the velocity rows become acceleration rows, v' A x + v' B w
+    if law.inertial:
+        d, v = nothing, np.concatenate([v[:n] @ A, v[:n] @ B + port.acceleration_input])
+    elif "acceleration" in law.senses:  # what fills a store
+        d = v[:n] @ np.hstack([A, B]) / -(v[:n] @ act)
+    return _Place(d, v, act, felt(port, rate))
 
 
-def _shapes(structure: Structure, theta: Array, effect: Effect, motion: Motion) -> list[dict[str, float]]:
-    """Return the coefficients at which a force law is evaluated.
+def _columns(
+    structure: Structure, place: _Place, owner: int, effect: Effect, motion: Motion
+) -> list[_Column]:
+    """Columns of one effect.
 
-    They hold its gap, limit or fading speed; the forces are zero.
+    There is one for each strength, in each shape worth trying.
     """
-    # starting values of gap, limit or fading speed for this motion; the strengths are zero
+    law, first = effect.spec, effect.coefficients[0]
+    # laws without a formula of their own: one column per shape
+    if law.signal:
+        code = CODES[law.signal]
+        if not (law.shaping and law.at_channel):
+            return [_Column(owner, first, code, place)]
+        shapes = _shapes(structure, effect, motion)
+        return [_Column(owner, first, code, place, (0.0, shape.get(first, 0.0))) for shape in shapes]
+    width = 1.0
+    if not law.at_channel:
+        width = law_widths(Structure(structure.model, [effect]), motion).get(0, 1.0)
+    # other laws: a column for each coefficient that is a factor of the force
+    names = enumerate(effect.coefficients)
+    strengths = [(c, name) for c, name in names if name not in {*law.shaping, *effect.fixed}]
+    assert isinstance(law, FormulaLaw)
+    found = []
+    for shape in _shapes(structure, effect, motion):
+        # addresses of tables are filled in by each process
+        known = {**effect.constants, **shape, **dict.fromkeys(law.addresses, 0.0)}
+        row = tuple(float(known.get(name) or 0.0) for name in law.row)
+        # a law without such a coefficient: its change against the displacement alone
+        for c, name in strengths or [(0, "")]:
+            code = CODES["change"] * (not name)
+            found.append(_Column(owner, name or first, code, place, row, width, c))
+    return found
+
+
+def _shapes(structure: Structure, effect: Effect, motion: Motion) -> list[dict[str, float]]:
+    """Return the coefficients that shape a force law, fixed ones included.
+
+    They are its gap, limit or fading speed.
+    """
+    # starting values for this motion, each set once
     probe = Structure(structure.model, [effect])
     sets: list[dict[str, float]] = []
     for point in shape_starts(probe, probe.start(), motion):
-        shape = dict(effect.fixed)
-        for i, q in enumerate(probe.parameters):
-            shape[q.name] = float(point[i]) if q.name in effect.spec.shaping else 0.0
+        own = zip(probe.parameters, map(float, point), strict=True)
+        shape = {**effect.fixed, **{q.name: value for q, value in own if q.name in effect.spec.shaping}}
         if shape not in sets:
             sets.append(shape)
     return sets[:_MOST_SHAPES]

@@ -95,8 +95,31 @@ class Healthy:
     power: Annotated[Array, "ny", 0.0, math.inf]
 
 
-def check_outputs(structure: Structure, data: Measurement, use: Flags) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Phase:
+    """Healthy samples that the monitor learns from.
+
+    Attributes
+    ----------
+    data : Measurement
+        Samples, gaps filled.
+    use : ndarray of uint8, shape (N, n_y)
+        Which outputs were measured.
+    disturbance : float or None
+        Declared ratio of unknown force to input; None to choose it.
+    period : int
+        Samples over which the mean square of the signal is taken.
+    """
+
+    data: Measurement
+    use: Flags
+    disturbance: float | None
+    period: int
+
+
+def check_outputs(structure: Structure, phase: Phase) -> None:
     """Refuse a learning phase with a missing or constant output."""
+    use, data = phase.use, phase.data
     for i, label in enumerate(structure.linear_model.output_labels):
         there = use[:, i] > 0
         if there.mean() < 1 - _MOST_MISSING:
@@ -108,52 +131,37 @@ def check_outputs(structure: Structure, data: Measurement, use: Flags) -> None:
             raise DataError(f"output {label!r} is constant over the learning phase; check the sensor")
 
 
-def learn(
-    structure: Structure,
-    theta: Array,
-    substeps: int,
-    data: Measurement,
-    use: Flags,
-    disturbance: float | None,
-    period: int,
-    most: float = math.inf,
-) -> tuple[Healthy, Flags, Array]:
+def learn(numbers: Numbers, phase: Phase, most: float) -> tuple[Healthy, Flags, Array]:
     """Choose the observer and its whitening filter by likelihood.
 
     Parameters
     ----------
-    structure, theta, substeps
+    numbers : Numbers
         Healthy model.
-    data : Measurement
+    phase : Phase
         Healthy samples.
-    use : ndarray of uint8, shape (N, n_y)
-        Which outputs were measured.
-    disturbance : float or None
-        Declared ratio; None to choose it.
-    period : int
-        Samples over which the mean square of the signal is taken.
-    most : float, optional
+    most : float
         Largest ratio to try: a better model has less that nobody measured.
 
     Returns
     -------
     healthy : Healthy
     sound : ndarray of uint8, shape (N, n_y)
-        `use` without samples that stand out alone.
+        Measured outputs without samples that stand out alone.
     scale : ndarray, shape (N, n_y)
         Standard deviation of the whitened innovation of each sample.
     """
-    engine = Engine(structure, data, substeps=substeps)
-    sound = use
     # ratios of unknown force to input: those of the grid, or the one that is declared
-    ratios = [ratio for ratio in RATIOS if ratio <= most] if disturbance is None else [disturbance]
+    declared = phase.disturbance
+    ratios = [ratio for ratio in RATIOS if ratio <= most] if declared is None else [declared]
     # observer by likelihood, outliers left out, and once more until the outliers stay the same
     for _ in range(_PASSES):
-        healthy, white, scale = _choose_observer(engine, theta, data, ratios, sound, period)
-        before, sound = sound, np.where(_isolated_outliers(white, sound), 0, sound).astype(np.uint8)
-        if np.array_equal(before, sound):
+        healthy, white, scale = _choose_observer(numbers, phase, ratios)
+        before, sound = phase.use, np.where(_isolated_outliers(white, phase.use), 0, phase.use)
+        phase = replace(phase, use=sound.astype(np.uint8))
+        if np.array_equal(before, phase.use):
             break
-    return healthy, sound, scale
+    return healthy, phase.use, scale
 
 
 def _isolated_outliers(white: Array, use: Flags) -> NDArray[np.bool_]:
@@ -168,30 +176,22 @@ def _isolated_outliers(white: Array, use: Flags) -> NDArray[np.bool_]:
     return np.asarray(out & (out.mean(axis=0) < _MOST_ALONE))
 
 
-def _choose_observer(
-    engine: Engine,
-    theta: Array,
-    data: Measurement,
-    ratios: Sequence[float],
-    use: Flags,
-    period: int,
-) -> tuple[Healthy, Array, Array]:
+def _choose_observer(numbers: Numbers, phase: Phase, ratios: Sequence[float]) -> tuple[Healthy, Array, Array]:
     """Return the most likely observer and its whitened innovations.
 
     The standard deviations of the innovations are returned as well.
     """
-    structure = engine.structure
     best: tuple[float, Healthy, Array, Array] | None = None
     for ratio in ratios:
         # unknown force at the inputs only, then at all ports
         for everywhere in (False, True):
-            gain, radius = gain_of(structure, theta, data, ratio, everywhere)
+            gain, radius = gain_of(numbers, phase.data, ratio, everywhere)
             if ratio == 0 and radius > FREE:
                 # an unstable or undamped model does not run free: smallest gain instead
                 if len(ratios) > 1:
                     continue  # what was once wrong about the state would stay wrong
-                gain, radius = gain_of(structure, theta, data, RATIOS[1], everywhere)
-            found = _evaluate_observer(engine, theta, gain, ratio, radius, use, period)
+                gain, radius = gain_of(numbers, phase.data, RATIOS[1], everywhere)
+            found = _evaluate_observer(numbers, phase, gain, ratio, radius)
             # the smallest gain that the likelihood does not clearly reject
             if found is not None and (best is None or found[0] < best[0] - _WORTH):
                 best = found
@@ -206,10 +206,10 @@ def _choose_observer(
 
 
 def gain_of(
-    structure: Structure, theta: Array, data: Measurement, ratio: float, everywhere: bool
+    numbers: Numbers, data: Measurement, ratio: float, everywhere: bool = False
 ) -> tuple[Array, float]:
     """Gain, and the spectral radius of the observer."""
-    matrices = structure.matrices(theta)
+    structure, theta = numbers.structure, numbers.theta
     n = structure.n_states
     # Phi: transition over one sample
     Phi = structure.discretize(theta, data.dt, derivatives=False).M[0, -n:, :n]
@@ -219,25 +219,21 @@ def gain_of(
         # the unknown force comes in where the measured one does, or at the ports too
         K = observer_gain(structure, theta, data, ratio, at="everywhere" if everywhere else "inputs")
     # error dynamics of the observer: Phi (I - K C)
-    closed = Phi @ (np.eye(n) - K @ matrices.C.astype(float))
+    closed = Phi @ (np.eye(n) - K @ structure.matrices(theta).C.astype(float))
     if not np.isfinite(closed).all():  # there is no such observer
         return K, np.inf
     return K, float(np.abs(np.linalg.eigvals(closed)).max(initial=0.0))
 
 
 def _evaluate_observer(
-    engine: Engine,
-    theta: Array,
-    gain: Array,
-    ratio: float,
-    radius: float,
-    use: Flags,
-    period: int,
+    numbers: Numbers, phase: Phase, gain: Array, ratio: float, radius: float
 ) -> tuple[float, Healthy, Array, Array] | None:
     """Return minus log-likelihood, observer and filtered innovations.
 
     Return None if the observer cannot follow the data.
     """
+    theta, use, period = numbers.theta, phase.use, phase.period
+    engine = Engine(numbers.structure, phase.data, substeps=numbers.substeps)
     y, flags = engine.data.outputs, use.T > 0
     spread = np.maximum(y.std(axis=1), 1e-300)
     K = gain if gain.any() else None
@@ -449,28 +445,23 @@ def numbers_of(
     known = np.array([law.along_motion and name not in law.shaping for law, name in laws], dtype=bool)
     finite = np.isfinite(spread).all(axis=0) & (np.diag(spread) > 0)
     loose = np.flatnonzero(known & finite)
-    return Numbers(
-        whole,
-        np.concatenate([theta, np.zeros(q - theta.size)]),
-        substeps,
-        loose,
-        spread[np.ix_(loose, loose)],
-    )
+    full = np.concatenate([theta, np.zeros(q - theta.size)])
+    return Numbers(whole, full, substeps, loose, spread[np.ix_(loose, loose)])
 
 
-def offset(numbers: Numbers, data: Measurement, use: Flags) -> Numbers:
+def offset(numbers: Numbers, phase: Phase) -> Numbers:
     """Return the parameters with the constant offset of each sensor.
 
     The offsets are estimated together with the initial state.
 
     Without it, observer and parameters would follow the offset.
     """
-    structure, theta = numbers.structure, numbers.theta
-    n, ny = structure.n_states, structure.n_outputs
+    structure, data, use = numbers.structure, phase.data, phase.use
+    n, ny, theta = structure.n_states, structure.n_outputs, numbers.theta.copy()
     # free run of the model, or the smallest gain if it does not decay
-    gain, radius = gain_of(structure, theta, data, 0.0, False)
+    gain, radius = gain_of(numbers, data, 0.0)
     if radius > FREE:
-        gain, _ = gain_of(structure, theta, data, RATIOS[1], False)
+        gain, _ = gain_of(numbers, data, RATIOS[1])
     if not np.isfinite(gain).all():
         return numbers
     # residual weighted by the standard deviation of each output
@@ -484,19 +475,12 @@ def offset(numbers: Numbers, data: Measurement, use: Flags) -> Numbers:
     beyond = np.full(at.size, np.inf)
     engine = Engine(structure, data, substeps=numbers.substeps)
     # least squares for offsets and initial state
-    fit = descend(segment, engine, gain, segment.x0, theta.copy(), at, -beyond, beyond)
-    theta = theta.copy()
+    fit = descend(segment, engine, theta, at, -beyond, beyond)
     theta[at] = fit.coefficients
     return replace(numbers, theta=theta)
 
 
-def settled(
-    numbers: Numbers,
-    data: Measurement,
-    use: Flags,
-    disturbance: float | None,
-    period: int,
-) -> tuple[Numbers, Healthy]:
+def settled(numbers: Numbers, phase: Phase) -> tuple[Numbers, Healthy]:
     """Return the most likely parameters and noise of the healthy samples.
 
     The parameters come with their remaining uncertainty.
@@ -505,8 +489,8 @@ def settled(
     ----------
     numbers : Numbers
         As they are known before.
-    data, use, disturbance, period
-        As for `learn`.
+    phase : Phase
+        Healthy samples.
 
     Returns
     -------
@@ -518,13 +502,11 @@ def settled(
     # alternate: noise for given parameters, parameters for given noise
     before, most = numbers, np.inf
     for _ in range(_ROUNDS):
-        healthy, sound, scale = learn(
-            numbers.structure, numbers.theta, numbers.substeps, data, use, disturbance, period, most
-        )
+        healthy, sound, scale = learn(numbers, phase, most)
         most = max(healthy.ratio, RATIOS[1])
         if numbers.loose.size == 0:
             break
-        last, numbers = numbers, _fit_parameters(before, numbers.theta, data, sound, scale, healthy)
+        last, numbers = numbers, _fit_parameters(before, numbers.theta, phase.data, sound, scale, healthy)
         # stop where no parameter moved by 0.3 standard deviations
         moved = np.abs(numbers.theta - last.theta)[numbers.loose]
         if (moved < _AT_REST * standard_deviations(numbers.covariance)).all():
@@ -558,7 +540,7 @@ def _fit_parameters(
     bounds = np.array([(structure.parameters[i].lower, structure.parameters[i].upper) for i in loose])
     # the prior adds rows to the least-squares problem
     found = descend(
-        segment, engine, healthy.gain, healthy.x0, start, loose, bounds[:, 0], bounds[:, 1],
+        segment, engine, start, loose, bounds[:, 0], bounds[:, 1],
         prior=lambda point: Rows(precision @ (point - centre), precision),
     )  # fmt: skip
     if not np.isfinite(found.cost):

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +37,7 @@ _LEFT = 1e-3  # chance that the noise alone leaves more
 _HUGE = 1e100  # errors and slopes beyond which the model has blown up
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Segment:
     """Samples since the change, and how the healthy model is led through them.
 
@@ -75,7 +77,12 @@ class Segment:
     scale: Array
     free_state: bool
 
-    @property
+    @cached_property
+    def motion(self) -> Motion:
+        """Motion at the ports, for the shapes of laws."""
+        return Motion(self.structure, self.theta, self.data)
+
+    @cached_property
     def judged(self) -> NDArray[np.bool_]:
         """Samples that are whitened, shape (N,).
 
@@ -104,7 +111,7 @@ class Segment:
         white /= self.scale.T.reshape(shape.shape)
         # then decorrelate the outputs
         mixed = np.tensordot(self.mix, white, axes=(1, 0))[:, there]
-        return np.asarray(mixed.reshape(-1, *errors.shape[2:]))
+        return mixed.reshape(-1, *errors.shape[2:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,7 +178,6 @@ class CandidateFit:
 def fit_candidate(
     segment: Segment,
     effect: Effect | None,
-    motion: Motion,
     starts: Sequence[Array] = (),
     *,
     alone: bool = False,
@@ -185,8 +191,6 @@ def fit_candidate(
         Samples.
     effect : Effect or None
         Candidate.
-    motion : Motion
-        Motion at the ports over the segment, for the shapes of laws.
     starts : sequence of ndarray
         Coefficients to start from, beside those at which the effect is absent.
     alone : bool
@@ -196,62 +200,53 @@ def fit_candidate(
 
     Returns
     -------
-    Fit
+    CandidateFit
     """
     # healthy model plus the candidate, with the widths of its law on this motion
     old = segment.structure
     added = [] if effect is None else [effect]
     base = Structure(old.model, [*old.effects, *added], constants=old.constants)
-    widths = law_widths(base, motion) if added else {}
-    widths.update(old.constants)
-    structure = Structure(old.model, base.effects, constants=widths)
+    widths = law_widths(base, segment.motion) if added else {}
+    structure = Structure(old.model, base.effects, constants={**widths, **old.constants})
     steps = max(segment.substeps, 1 if structure.is_linear else 2)
     engine = Engine(structure, segment.data, substeps=steps)
-    p0, p = old.n_parameters, structure.n_parameters
+    own = structure.parameters[old.n_parameters :]
     # state and gain of the healthy model; the candidate's own states start at zero
-    theta0 = np.concatenate([segment.theta, structure.start()[p0:]])
+    theta = np.concatenate([segment.theta, structure.start()[old.n_parameters :]])
     extra = structure.n_states - old.n_states
-    x0 = np.pad(segment.x0, (0, extra))
-    gain = np.pad(segment.gain, ((0, extra), (0, 0)))
-    # bounds a little inside those of physics
-    lower = np.array([q.lower for q in structure.parameters[p0:]])
-    upper = np.array([q.upper for q in structure.parameters[p0:]])
-    known = np.isfinite(lower)
-    lower[known] += 0.02 * np.abs(lower[known])  # a spring that is gone has no slope
-    lags = np.array([q.name == "time_constant" for q in structure.parameters[p0:]], dtype=bool)
-    lower[lags] = np.maximum(lower[lags], 1e-3 * segment.data.dt)
-    known = np.isfinite(upper)
-    upper[known] -= 1e-3 * np.abs(upper[known])
+    led = replace(segment, x0=np.pad(segment.x0, (0, extra)), gain=np.pad(segment.gain, ((0, extra), (0, 0))))
+    lower, upper = _bounds(own, segment.data.dt)
     # starts: those given, then those that the motion suggests
-    points = [np.asarray(s, dtype=float) for s in starts if len(s) == p - p0 and np.isfinite(s).all()]
+    points = [np.asarray(s, dtype=float) for s in starts if len(s) == len(own) and np.isfinite(s).all()]
     if added and not (alone and points):
-        points += [s[p0:] for s in shape_starts(structure, theta0, motion, len(old.effects))[:_MOST_STARTS]]
+        suggested = shape_starts(structure, theta, segment.motion, len(old.effects))
+        points += [s[old.n_parameters :] for s in suggested[:_MOST_STARTS]]
+    # gap, limit or fading speed: within a factor of 8 of the start; far off its motion a law is another one
+    shaping = np.array([q.name in structure.effects[q.effect].spec.shaping for q in own], dtype=bool)
+    loose = np.arange(old.n_parameters, structure.n_parameters)
+    found: list[CandidateFit] = []
     # damped Gauss-Newton from each start; the best one counts
-    best: CandidateFit | None = None
     for start in points or [np.zeros(0)]:
-        low, high = lower.copy(), upper.copy()
-        # gap, limit or fading speed: within a factor of 8 of the start
-        for i, q in enumerate(structure.parameters[p0:]):
-            if (
-                q.name in structure.effects[q.effect].spec.shaping
-            ):  # far off its motion a law turns into another one
-                low[i] = max(low[i], start[i] / _REACH)
-                high[i] = min(high[i], start[i] * _REACH)
-        theta0[p0:] = np.clip(start, low, high)
-        found = descend(
-            segment, engine, gain, x0, theta0, np.arange(p0, p), low, high, effect=effect, worst=worst
-        )
-        if best is None or found.cost < best.cost:
-            best = found
-    assert best is not None
-    return best
+        low = np.where(shaping, np.maximum(lower, start / _REACH), lower)
+        high = np.where(shaping, np.minimum(upper, start * _REACH), upper)
+        theta[loose] = np.clip(start, low, high)
+        found.append(descend(led, engine, theta, loose, low, high, effect=effect, worst=worst))
+    return min(found, key=lambda fit: fit.cost)
+
+
+def _bounds(parameters: Sequence[Any], dt: float) -> tuple[Array, Array]:
+    """Bounds of coefficients, a little inside those of physics."""
+    lower = np.array([q.lower for q in parameters])
+    upper = np.array([q.upper for q in parameters])
+    lower += 0.02 * np.abs(np.where(np.isfinite(lower), lower, 0.0))  # a spring that is gone has no slope
+    upper -= 1e-3 * np.abs(np.where(np.isfinite(upper), upper, 0.0))
+    lags = np.array([q.name == "time_constant" for q in parameters], dtype=bool)
+    return np.where(lags, np.maximum(lower, 1e-3 * dt), lower), upper
 
 
 def descend(
     segment: Segment,
     engine: Engine,
-    gain: Array,
-    x0: Array,
     theta: Array,
     loose: Integers,
     lower: Array,
@@ -265,12 +260,10 @@ def descend(
 
     The initial state is fitted as well if it is free.
     """
-    start = theta[loose]
+    start, x0, y = theta[loose], segment.x0, segment.data.outputs
     p, n = start.size, x0.size
     free = n if segment.free_state else 0
-    y = segment.data.outputs
-    K = gain if gain.any() else None
-
+    K = segment.gain if segment.gain.any() else None
     slopes = p > 0 or free > 0
     sizes = np.concatenate([natural_sizes(engine.structure, [engine.data])[loose], np.ones(free)])
     nothing = Rows(np.full(1, np.inf), np.zeros((1, p + free)))

@@ -25,9 +25,9 @@ from ...inference.levels import levels
 from ...inference.parameters import nominal_size
 from ...results import Row
 from ...systems.linear import Array, LinearModel
-from ..samples import Block, Flags, as_size
+from ..samples import Block, as_size
 from .bank import Bank, build_bank
-from .baseline import FREE, Healthy, Numbers, check_outputs, numbers_of, offset, settled
+from .baseline import FREE, Healthy, Numbers, Phase, check_outputs, gain_of, numbers_of, offset, settled
 from .stream import Observer, Stream, Windows
 from .watching import linear_estimates, watch_block
 
@@ -75,16 +75,15 @@ class Adequacy(Row):
         return textwrap.fill(self.sentence, 80)
 
 
-def explained(numbers: Numbers, theta: Array, data: Measurement, use: Flags, gain: Array) -> Array:
+def explained(numbers: Numbers, phase: Phase, gain: Array) -> Array:
     """Return the fit of each output in percent, shape (n_y,).
 
     It is that of the free run if there is one.
     """
-    n = numbers.structure.n_states
+    theta, data, there = numbers.theta, phase.data, phase.use > 0
     # a stable model runs free, another one with the observer
-    step = numbers.structure.discretize(theta, data.dt, derivatives=False).M[0, -n:, :n]
-    free = float(np.abs(np.linalg.eigvals(step)).max(initial=0.0)) <= FREE
-    engine, there = Engine(numbers.structure, data, substeps=numbers.substeps), use > 0
+    free = gain_of(numbers, data, 0.0)[1] <= FREE
+    engine = Engine(numbers.structure, data, substeps=numbers.substeps)
     K = None if free or not gain.any() else gain
     x0 = estimate_initial_state(engine, theta, gain=K, use=there)
     run = engine.run(theta, x0, sensitivity=False, gain=K, use=there, check=False)
@@ -197,20 +196,20 @@ def learned(monitor: Monitor, block: Block) -> tuple[Stream, Adequacy]:
         )
     # prior of the parameters from the model and the tolerance
     data = Measurement(block.inputs.T, block.outputs.T, dt=monitor.dt, hold=monitor.hold)
-    period = monitor._period
+    phase = Phase(data, block.use, monitor.disturbance, monitor._period)
     given = numbers_of(
         monitor._structure, monitor._theta, monitor._substeps, monitor._covariance, monitor.tolerance
     )
-    check_outputs(given.structure, data, block.use)
+    check_outputs(given.structure, phase)
     # offsets first, or observer and parameters would follow them
-    given = offset(given, data, block.use)
+    given = offset(given, phase)
     # noise and parameters by alternation, then the columns of all candidates
-    numbers, healthy = settled(given, data, block.use, monitor.disturbance, period)
+    numbers, healthy = settled(given, phase)
     bank = build_bank(numbers, monitor.candidates, data, monitor.hold, healthy.gain)
     stream = stream_of(monitor, numbers.structure, numbers.theta, healthy, bank)
     # the same samples run through the windows, which calibrates the statistics
     watch_block(stream, monitor._watch, monitor._course, block)
-    before, after = (explained(numbers, at.theta, data, block.use, healthy.gain) for at in (given, numbers))
+    before, after = (explained(at, phase, healthy.gain) for at in (given, numbers))
     return stream, adequacy_of(stream, given, numbers, monitor.tolerance, (before, after), monitor.dt)
 
 

@@ -14,7 +14,6 @@ from ...data.measurement import Measurement
 from ...effects.effect import Effect
 from ...engine.structure import Structure
 from ...inference.levels import levels
-from ...inference.starts import Motion
 from ...models.physical_model import PhysicalModel
 from ...results import Row, with_error
 from ...systems.linear import Array
@@ -49,6 +48,20 @@ class MonitorRow(Row):
     probability: float
     log_likelihood: float
     fitted: bool
+
+    @classmethod
+    def of(
+        cls, effect: Effect, names: Sequence[str], values: Array, stds: Array, gain: float, fitted: bool
+    ) -> MonitorRow:
+        """Row with these estimates; its probability is not known yet."""
+        found, std = (dict(zip(names, map(float, part), strict=True)) for part in (values, stds))
+        return cls(effect, found, std, math.nan, float(gain), fitted)
+
+
+def ranked(rows: Iterable[MonitorRow], probabilities: Array) -> list[MonitorRow]:
+    """Rows with these probabilities, the most probable first."""
+    shared = [replace(row, probability=float(p)) for row, p in zip(rows, probabilities, strict=True)]
+    return sorted(shared, key=lambda row: (-row.probability, -row.log_likelihood))
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +119,7 @@ class Alarm(Row):
         return textwrap.fill(self.sentence, 80)
 
 
+Scored = list[tuple[CandidateFit, float]]  # fits and their gains of log-likelihood
 _SHORTLIST = 10
 _LEADERS = 5  # candidates with which the time of the change is settled, beside the best of each place
 _MOVES = 4
@@ -206,8 +220,6 @@ def linear_estimates(stream: Stream, since: int) -> tuple[Array, Array, Array]:
 def linear_rows(stream: Stream) -> list[MonitorRow]:
     """Ranking from the windows alone, linearized: while no alarm is on."""
     _, gains = standing(stream)
-    # probabilities from the best gain above the threshold
-    p = shares(float(gains.max()), gains)[1:]
     mem, keep = stream.memory, stream.windows.keep[:, None]
     V = np.where(mem["V"] > 1e-200, mem["V"], np.inf)
     levels = stream.windows.levels[:, None] ** 2
@@ -218,22 +230,14 @@ def linear_rows(stream: Stream) -> list[MonitorRow]:
     for i, effect in enumerate(stream.bank.candidates):
         own = np.flatnonzero(stream.bank.owner == i)
         m, c = np.unravel_index(int(np.argmax((square - levels)[:, own])), (keep.size, own.size))
-        j = own[c]
+        j = own[[c]]
         scale = stream.bank.scale[j] / (1.0 + float(keep[m, 0]))  # forgetting sums s^2 once, not twice
-        name = stream.bank.names[j]
-        value = scale * mem["N"][m, j] / V[m, j]
-        std = scale * np.sqrt(wide[m, j]) / V[m, j] if np.isfinite(V[m, j]) else np.inf
-        rows.append(
-            MonitorRow(
-                effect,
-                {name: float(value)},
-                {name: float(std)},
-                float(p[i]),
-                float(0.5 * square[m, j]),
-                False,
-            )
-        )
-    return sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
+        value, std = scale * mem["N"][m, j] / V[m, j], scale * np.sqrt(wide[m, j]) / V[m, j]
+        std = np.where(np.isfinite(V[m, j]), std, np.inf)
+        gain = 0.5 * float(square[m, j][0])
+        rows.append(MonitorRow.of(effect, [stream.bank.names[j[0]]], value, std, gain, False))
+    # probabilities from the best gain above the threshold
+    return ranked(rows, shares(float(gains.max()), gains)[1:])
 
 
 def idle_remarks(stream: Stream) -> tuple[str, ...]:
@@ -266,7 +270,7 @@ def fit_all(
     *,
     latest: int | None,
     window: int,
-) -> tuple[list[tuple[CandidateFit, float]], int, float, float]:
+) -> tuple[Scored, int, float, float]:
     """Fit each promising candidate to the samples since the change.
 
     Parameters
@@ -317,9 +321,7 @@ def fit_all(
     return weighed, since, temper, none
 
 
-def _weigh(
-    scored: list[tuple[CandidateFit, float]], known: Structure
-) -> tuple[list[tuple[CandidateFit, float]], float, float]:
+def _weigh(scored: Scored, known: Structure) -> tuple[Scored, float, float]:
     """Return fits with fair gains, the misfit, and the gain of no candidate."""
     # cost of the healthy model, from the gain of the first
     first, gained = scored[0]
@@ -337,7 +339,29 @@ def _weigh(
     return _best_first(fair), temper, none
 
 
-def _best_first(scored: Iterable[tuple[CandidateFit, float]]) -> list[tuple[CandidateFit, float]]:
+def _estimated_rows(stream: Stream, scored: Scored, since: int) -> list[MonitorRow]:
+    """Row of each candidate, without its probability.
+
+    It holds the fit where there is one, else the linearized estimate.
+    """
+    estimates, spreads, gains = linear_estimates(stream, since)
+    fitted = {fit.effect: (fit, gain) for fit, gain in scored}
+    worst = min((gain for _, gain in scored), default=math.inf)
+    rows = []
+    for i, effect in enumerate(stream.bank.candidates):
+        if effect in fitted:
+            fit, gain = fitted[effect]
+            rows.append(MonitorRow.of(effect, effect.free, fit.coefficients, fit.std, gain, True))
+            continue
+        own = np.flatnonzero(stream.bank.owner == i)
+        best = own[[int(np.argmax(gains[own]))]]
+        # the linear figure of one that was not worth a fit: not above those that were
+        gain, name = min(float(gains[best[0]]), worst), stream.bank.names[best[0]]
+        rows.append(MonitorRow.of(effect, [name], estimates[best], spreads[best], gain, False))
+    return rows
+
+
+def _best_first(scored: Iterable[tuple[CandidateFit, float]]) -> Scored:
     return sorted(scored, key=lambda pair: -pair[1])
 
 
@@ -354,9 +378,7 @@ class _Contest:
     window: int
     estimates: Array
 
-    def fits_from(
-        self, start: int, which: Sequence[int], known: Mapping[Effect, Array]
-    ) -> list[tuple[CandidateFit, float]]:
+    def fits_from(self, start: int, which: Sequence[int], known: Mapping[Effect, Array]) -> Scored:
         """Fit some candidates to the samples from `start` on.
 
         Return the fits and their gains, best first.
@@ -368,12 +390,11 @@ class _Contest:
         else:
             first, free = max(start, stream.oldest), start < stream.oldest
         segment = segment_of(stream, first, free, self.mean)
-        found: list[tuple[CandidateFit, float]] = []
+        found: Scored = []
         if not segment.judged.any():  # a change of a moment ago: the filters have no past yet
             return found
         # reference: the healthy model on the same samples
-        motion = Motion(segment.structure, segment.theta, segment.data)
-        nothing = fit_candidate(segment, None, motion)
+        nothing = fit_candidate(segment, None)
         worst = math.inf
         # start from earlier fits, or from the linearized estimate
         for i in which:
@@ -383,7 +404,7 @@ class _Contest:
             if not starts and len(effect.free) == 1:
                 starts = [np.array([self.estimates[own]])]
             # stop a fit early that lies far behind the best so far
-            fit = fit_candidate(segment, effect, motion, starts, alone=effect in known, worst=worst)
+            fit = fit_candidate(segment, effect, starts, alone=effect in known, worst=worst)
             worst = min(worst, fit.cost + _HOPELESS)
             if math.isfinite(fit.cost):
                 found.append((fit, 0.5 * (nothing.cost - fit.cost)))
@@ -391,11 +412,11 @@ class _Contest:
 
     def wider(
         self,
-        scored: list[tuple[CandidateFit, float]],
+        scored: Scored,
         start: int,
         chosen: Sequence[int],
         known: Mapping[Effect, Array],
-    ) -> list[tuple[CandidateFit, float]]:
+    ) -> Scored:
         """Fit more candidates, as a strong change bends the linear scores.
 
         Where more than noise is left, these are the elements at all places; then all laws at the
@@ -412,9 +433,7 @@ class _Contest:
         others = [i for i, effect in enumerate(effects) if effect.place in leading and i not in tried]
         return _best_first([*scored, *self.fits_from(start, others, known)]) if others else scored
 
-    def moved(
-        self, scored: list[tuple[CandidateFit, float]], since: int, latest: int
-    ) -> tuple[list[tuple[CandidateFit, float]], int]:
+    def moved(self, scored: Scored, since: int, latest: int) -> tuple[Scored, int]:
         """Move the change to the sample at which the best candidate fits best.
 
         Each leader is given its own best sample, in steps that are halved down to one: a few samples off, a
@@ -474,8 +493,7 @@ def find_state(stream: Stream) -> None:
     # fit the state by least squares on the samples since the gap
     start = max(int(stream.memory["lost"][0]), stream.oldest)
     segment = segment_of(stream, start, True, stream.memory["mean_e"])
-    motion = Motion(segment.structure, segment.theta, segment.data)
-    fit = fit_candidate(segment, None, motion)
+    fit = fit_candidate(segment, None)
     stream.found(start, fit.state, fit.doubt)
 
 
@@ -488,12 +506,11 @@ def fit_one(
     """
     # named effect and healthy model on the same samples, state free
     segment = segment_of(stream, max(start, stream.oldest), True, mean)
-    motion = Motion(segment.structure, segment.theta, segment.data)
     effect = stream.bank.effects[index]
-    nothing = fit_candidate(segment, None, motion)
+    nothing = fit_candidate(segment, None)
     # starts: the coefficients so far, and the same shapes without a force
     starts = [before, np.where([name in effect.spec.shaping for name in effect.free], before, 0.0)]
-    return fit_candidate(segment, effect, motion, starts, alone=True), nothing
+    return fit_candidate(segment, effect, starts, alone=True), nothing
 
 
 _SETTLE = 4  # periods in which more samples tell the time of the change better
@@ -665,32 +682,10 @@ class Watch:
             return  # the change itself is changing, or going: the name that fitted well stays
         self.misfit = misfit
         self.found = replace(self.found, since_sample=since, since=since * self.dt)
-        # fitted gains where there are, linearized ones otherwise
-        estimates, spreads, gains = linear_estimates(stream, since)
-        effects, owner = stream.bank.candidates, stream.bank.owner
-        fitted = {fit.effect: (fit, gain) for fit, gain in scored}
-        worst = min((gain for _, gain in scored), default=math.inf)
-        all_gains = np.zeros(len(effects))
-        rows: list[MonitorRow] = []
-        for i, effect in enumerate(effects):
-            own = np.flatnonzero(owner == i)
-            if effect in fitted:
-                fit, gain = fitted[effect]
-                names, values, stds = effect.free, fit.coefficients, fit.std
-            else:
-                best = own[int(np.argmax(gains[own]))]
-                # the linear figure of one that was not worth a fit: not above those that were
-                gain = min(float(gains[best]), worst)
-                names, values, stds = (stream.bank.names[best],), estimates[[best]], spreads[[best]]
-            all_gains[i] = gain
-            coefficients = dict(zip(names, map(float, values), strict=True))
-            std = dict(zip(names, map(float, stds), strict=True))
-            rows.append(MonitorRow(effect, coefficients, std, 0.0, float(gain), effect in fitted))
+        rows = _estimated_rows(stream, scored, since)
         # posterior probabilities, then the ranking
-        p = shares(self.change(stream), all_gains, self.none)[1:]
-        rows = [replace(row, probability=float(share)) for row, share in zip(rows, p, strict=True)]
-        self.rows = sorted(rows, key=lambda row: (-row.probability, -row.log_likelihood))
-        self.gains = all_gains
+        self.gains = np.array([row.log_likelihood for row in rows])
+        self.rows = ranked(rows, shares(self.change(stream), self.gains, self.none)[1:])
         self._state(stream.observer.structure.model)
 
     def change(self, stream: Stream) -> float:

@@ -21,7 +21,10 @@ from .setup import Memory, Scales, Setup, explain, in_units, regressor_scale
 
 
 class Diverged(DivergenceError):
-    """Divergence; `sound` holds the memory and the samples before it, inputs and outputs."""
+    """Divergence.
+
+    `sound` holds the memory before these samples, and the inputs and outputs before the divergence.
+    """
 
     def __init__(self, message: str, sound: Any = None) -> None:  # None: unpickled
         super().__init__(message)
@@ -112,9 +115,10 @@ class PaperStages:
         self.records += records
 
     def _after(self, memory: Memory, inputs: Array, outputs: Array, last: bool = False) -> Taken:
-        """Memory after some samples, and their course; the memory given stays as it is.
+        """Return the memory after some samples, and their course.
 
-        Samples are held back until their rms gives the scales, or until the record ends (`last`).
+        The memory given stays as it is. Samples are held back until their rms gives the scales,
+        or until the record ends (`last`).
         """
         if memory.tuned is None:
             held, n_samples = len(memory.inputs), memory.n_samples + len(inputs)
@@ -131,7 +135,10 @@ class PaperStages:
         return self._run_stages(memory, inputs, outputs, self.keep)
 
     def _run_stages(self, before: Memory, inputs: Array, outputs: Array, keep: bool) -> Taken:
-        """Run both stages over samples, on a copy: an error leaves the memory as it was."""
+        """Run both stages over samples.
+
+        They change a copy: an error leaves the memory as it was.
+        """
         setup, count, n_y = self.setup, len(inputs), outputs.shape[1]
         memory = before.copied(before.n_samples + count)
         assert memory.tuned is not None

@@ -449,7 +449,7 @@ def in_units(theta: Array, scales: Scales, order: int) -> Array:
     l_u, q = scales.corrections.size, units.size
     # u = theta psi in scaled units: multiply rows by the unit of u, divide columns by that of psi
     plain = theta[..., : l_u * q].reshape(*theta.shape[:-1], l_u, q)
-    return np.asarray(plain * scales.corrections[:, None] / units)
+    return plain * scales.corrections[:, None] / units
 
 
 # Samples that tell the scales: a window, but no fewer and no more than this.
