@@ -627,7 +627,7 @@ CALLS: dict[str, Call] = {
             **dict.fromkeys(("time", "hold", "decimal"), is_text),
             "dt": is_positive,
         },
-        work="rcorefine.data.readers.read_csv",
+        work="rcorefine.data.tables._find_layout",
     ),
     "modal_model": Call(
         lambda: rco.modal_model,
@@ -853,7 +853,7 @@ CALLS: dict[str, Call] = {
             "model": is_transfer_function,
             "data": is_nothing,
             "x0": is_state,
-            "effects": is_nothing,
+            "effects": is_listing,
             "controller": is_transfer_function,
         },
     ),

@@ -18,6 +18,7 @@ import control as ct
 import numpy as np
 from scipy.sparse import coo_matrix, issparse
 
+from ..arguments import as_path
 from ..data.formats import read_apart, read_matlab
 from ..exceptions import ModelError
 from ..systems.linear import Array
@@ -139,7 +140,7 @@ def read_model(path: str | PathLike[str]) -> ct.StateSpace | PhysicalModel:
     >>> read_model(path).linear.input_labels
     ('voltage',)
     """
-    file = Path(path)
+    file = as_path(path)
     suffix = file.suffix.lower()
     # TOML: matrices, or a builder with its parameters
     if suffix == ".toml":
