@@ -9,11 +9,12 @@ from collections.abc import Sequence
 from itertools import zip_longest
 from typing import TYPE_CHECKING, Any
 
+import control as ct
 import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, PlainText, Range1d
 from bokeh.plotting import figure
 
-from rcorefine import FrequencyResponse, Measurement, compare
+from rcorefine import FrequencyResponse, Measurement
 
 from ..arguments import Array
 from ..exceptions import DataError
@@ -212,7 +213,10 @@ def _response(
     """
     model = step.refinement
     if all(effect.is_linear for effect in model.effects) or len(model.initial_states) > 1:
-        return measured.omega, compare(model.system, measured).responses[0][i, j]
+        w = np.geomspace(measured.omega[0], min(measured.omega[-1], np.pi / record.dt), 600)
+        held = measured.hold in ("zoh", "foh")  # the samples see the plant with its hold
+        system = ct.sample_system(model.system, record.dt, measured.hold) if held else model.system
+        return w, system(np.exp(1j * w * record.dt) if held else 1j * w, squeeze=False)[i, j]
     run = Measurement(record.inputs, step.runs, dt=record.dt, hold=record.hold).frequency_response()
     return run.omega, run.response[i, j]
 
