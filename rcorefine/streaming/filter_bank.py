@@ -103,9 +103,11 @@ class FilterBank:
         self.filters = {name: CoefficientFilter(setup, keep) for name, setup in setups.items()}
         self.filters[INITIAL] = CoefficientFilter(initial, keep)
         self._model = self.filters[INITIAL].discrete_system("initial")
-        # growth that a refined model may have, per sample
-        self._limit = _growth_limit(self._model)
         rate = growth(self._model)
+        # growth that a refined model may have, per sample: none where the initial model is stable
+        self._limit = np.inf
+        if rate <= 1e-9:
+            self._limit = 1e-9 if rate > -1e-9 else 1e-3 * max(rate, -1.0)
         # an unstable initial model is simulated over short windows, each with a fitted initial state
         self._window = max(int(_WINDOW / rate), 8) if rate > 1e-6 else 0
         outputs = np.zeros((0, self._model.n_outputs))
@@ -353,17 +355,6 @@ class FilterBank:
         for name, part in state["filters"].items():
             self.filters[name].restore(part)
         self.memory = memory
-
-
-def _growth_limit(initial: LinearModel) -> float:
-    """Return the growth rate that a refined model may have.
-
-    No growth is allowed if the initial model is stable.
-    """
-    rate = growth(initial)
-    if rate > 1e-9:
-        return np.inf
-    return 1e-9 if rate > -1e-9 else 1e-3 * max(rate, -1.0)
 
 
 def free_run_cost(

@@ -265,7 +265,7 @@ def variants(part: CoefficientFilter) -> list[LinearModel]:
     if memory.rounds == 0 or not covariance.size:
         return []
     # correlation first: coefficients of unlike size would hide one another
-    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    size = part.standard_deviations
     scale = np.where(size > 0, size, 1.0)
     # principal directions of the correlation matrix: independent of each other
     values, directions = np.linalg.eigh(covariance / np.outer(scale, scale))

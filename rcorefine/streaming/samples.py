@@ -11,7 +11,7 @@ import control as ct
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arguments import as_array, as_choice, as_number, as_whole
+from ..arguments import as_array, as_choice, as_whole
 from ..data.records import as_record
 from ..data.signals import LARGEST, SMALLEST, check_sizes
 from ..exceptions import DataError, ModelError
@@ -27,11 +27,6 @@ Complex = NDArray[np.complex128]
 def as_size(value: Any, name: str, least: int, meaning: str) -> int:
     """Whole number that is not below `least`."""
     return as_whole(value, f"{name} ({meaning})", least=least, error=ModelError)
-
-
-def as_rate(value: Any, name: str) -> float:
-    """Learning rate: a positive, finite number; larger is slower."""
-    return as_number(value, f"{name} (alpha)", above=0.0, error=ModelError)
 
 
 def as_matrix(value: Any, name: str, rows: int, columns: int | None, rows_are: str) -> Array:

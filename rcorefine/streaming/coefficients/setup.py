@@ -14,6 +14,7 @@ import numpy as np
 
 from ...arguments import as_noise, as_number, as_text
 from ...exceptions import DivergenceError, ModelError
+from ...inference.covariance import standard_deviations
 from ...systems.conversion import to_discrete
 from ...systems.linear import Array, LinearModel
 from ..history import PARAMETERS, Summary, rates
@@ -400,7 +401,7 @@ def _doubt_cautions(setup: CoefficientSetup, memory: CoefficientMemory) -> list[
     found, names = [], np.array(setup.labels, dtype=object)
     # standard deviations from the covariance of the filter
     P = setup.layout.parts(memory.packed).Pt
-    std = np.sqrt(np.maximum(np.diag(P), 0.0))
+    std = standard_deviations(P)
     # held: the prior fixes more than the data determine
     together = names[np.diag(setup.held_covariance(memory.spread)) > std**2]
     if together.size:
@@ -677,7 +678,7 @@ class CoefficientFilter:
 
         They are infinite before anything is learned.
         """
-        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return standard_deviations(self.covariance)
 
     @property
     def parameters(self) -> tuple[Any, ...]:

@@ -21,6 +21,7 @@ from ...engine.engine import Engine
 from ...engine.initial_state import estimate_initial_state
 from ...engine.structure import Structure
 from ...exceptions import DataError
+from ...inference.covariance import standard_deviations
 from ...inference.levels import levels
 from ...inference.parameters import nominal_size
 from ...results import Row
@@ -116,7 +117,7 @@ def adequacy_of(
     """
     # which parameters moved by more than their uncertainty, relative to their size
     change = (numbers.theta - given.theta)[numbers.loose]
-    clear = np.abs(change) > levels().moved * np.sqrt(np.maximum(np.diag(numbers.covariance), 0.0))
+    clear = np.abs(change) > levels().moved * standard_deviations(numbers.covariance)
     moved: dict[str, float] = {}
     for (effect, name), value, theta, seen in zip(
         numbers.moving, change, given.theta[numbers.loose], clear, strict=True

@@ -17,7 +17,7 @@ from ..history import History, Summary, joined, pole_samples, poles_of
 from ..persistence import check_course
 from ..samples import Block
 from .kernels import Plant, Record, advance
-from .setup import Memory, Scales, Setup, explain, in_units, regressor_scale
+from .setup import Memory, Scales, Setup, explain, in_units, regressor_scale, warm_up
 
 
 class Diverged(DivergenceError):
@@ -410,7 +410,7 @@ class PaperStages:
             if order > 0:
                 raise ModelError(
                     "predict with static_order > 0 needs the scales: it works once the first "
-                    f"{s.warm_up} samples are learned, or with scale={{...}} declared"
+                    f"{warm_up(s.settings)} samples are learned, or with scale={{...}} declared"
                 )
             x = np.zeros(n)
             for w in memory.inputs:

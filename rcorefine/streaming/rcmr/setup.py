@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from ...arguments import as_array
+from ...arguments import as_array, as_number
 from ...engine.linear import state_power
 from ...exceptions import DataError, ModelError
 from ...systems.discretization import discretize
 from ...systems.linear import Array, LinearModel
 from ..persistence import check_like, check_range, storable
-from ..samples import Complex, Sampled, as_matrix, as_rate, as_size
+from ..samples import Complex, Sampled, as_matrix, as_size
 from .kernels import PADDING, Design, Plant, Record, Stage
 
 # A Markov parameter counts as zero below this share of the largest |C| |A^(i-1) B_u| of its entry
@@ -489,11 +489,6 @@ class Setup(Sampled):
     scales: Scales | None
 
     @property
-    def warm_up(self) -> int:
-        """Samples that are held back to begin with, where scales are not declared."""
-        return warm_up(self.settings)
-
-    @property
     def theta_shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
         """Shapes (l_u, l_psi) of the coefficients of both stages."""
         n, n_w = self.plant.B.shape
@@ -580,7 +575,7 @@ class Setup(Sampled):
         """
         labels = (self.initial.input_labels, self.initial.output_labels)
         # the length doubles until the signals no longer grow
-        count = self.warm_up
+        count = warm_up(self.settings)
         longest = count * LONGEST_WARM_UP
         while count <= longest and count <= inputs.shape[0]:
             if count > before:
@@ -641,7 +636,7 @@ def as_settings(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> tuple[
             as_size(first("order"), f"{prefix}order", 0, "n_c"),
             as_size(first("window"), f"{prefix}window", 1, "p"),
             as_size(first("markov"), f"{prefix}markov", 1, "mu"),
-            as_rate(first("learning_rate"), f"{prefix}learning_rate"),
+            as_number(first("learning_rate"), f"{prefix}learning_rate (alpha)", above=0.0, error=ModelError),
         )
 
     return stage(""), stage("static_")
