@@ -100,7 +100,7 @@ def as_texts(values: Any, name: str, count: int | None = None) -> tuple[str, ...
             raise ct.ControlArgument(f"{name} must hold strings, not {shown(text)}")
     if count is not None and len(texts) != count:
         raise ct.ControlDimension(f"{name}: {len(texts)} given for {count} signal(s)")
-    return tuple(str(text) for text in texts)
+    return tuple(map(str, texts))
 
 
 def as_labels(
@@ -271,30 +271,35 @@ def as_array(
         If a value is masked or (unless `finite` is False) not finite.
     """
     if np.ma.isMaskedArray(values) and np.ma.getmaskarray(values).any():
-        place = tuple(int(i) for i in np.argwhere(np.ma.getmaskarray(values))[0])
+        place = tuple(np.argwhere(np.ma.getmaskarray(values))[0].tolist())
         raise error(f"{name} is masked at index {place}; repair or leave out the gap")
-    if isinstance(values, bytes | bytearray | memoryview):
-        raise ct.ControlArgument(f"{name} must hold real numbers, not {shown(values)}")
-    try:
-        array = np.array(values, subok=False)
-    except (ValueError, TypeError, RecursionError) as reason:
-        if isinstance(values, list | tuple):
-            raise ct.ControlDimension(f"{name} holds rows of unequal lengths; give all the same") from reason
-        raise ct.ControlArgument(f"{name} must hold real numbers, not {shown(values)}") from reason
+    array = _any_array(values, name)
     if array.dtype.kind == "c":
         raise ct.ControlArgument(f"{name} is complex; give real numbers")
-    if array.dtype.kind not in ("fiub" if flags else "fiu") and array.size:
+    if not array.size:  # an empty list of anything
+        return np.zeros(array.shape)
+    if array.dtype.kind not in ("fiub" if flags else "fiu"):
         raise ct.ControlArgument(
             f"{name} must hold real numbers, not {array.dtype} such as {shown(array.flat[0])}; "
             "convert it first"
         )
-    if array.dtype.kind not in "fiub":  # an empty list of anything
-        array = np.zeros(array.shape)
     if finite and not np.isfinite(array).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        index = tuple(np.argwhere(~np.isfinite(array))[0].tolist())
         where = f"{name}[{', '.join(map(str, index))}]" if index else name
         raise error(f"{where} is not finite ({array[index]}); give finite numbers")
     return array.astype(np.float64)
+
+
+def _any_array(values: Any, name: str) -> NDArray[Any]:
+    """Return an independent array of anything but bytes."""
+    if isinstance(values, bytes | bytearray | memoryview):
+        raise ct.ControlArgument(f"{name} must hold real numbers, not {shown(values)}")
+    try:
+        return np.array(values)
+    except (ValueError, TypeError, RecursionError) as reason:
+        if isinstance(values, list | tuple):
+            raise ct.ControlDimension(f"{name} holds rows of unequal lengths; give all the same") from reason
+        raise ct.ControlArgument(f"{name} must hold real numbers, not {shown(values)}") from reason
 
 
 def as_vector(
@@ -349,7 +354,7 @@ def as_state(value: Any, size: int | None = None) -> Array | None:
     if value is None or isinstance(value, str | bool | np.bool_ | Mapping):
         raise ct.ControlArgument(f"x0 must be 'estimate', 'zero' or an array, not {shown(value)}")
     state = as_array(value, "x0")
-    if state.ndim != 1 or state.size != (state.size if size is None else size):
+    if state.ndim != 1 or size not in (None, state.size):
         raise ct.ControlDimension(f"x0 has shape {state.shape}; the model has {size or 'other'} states")
     return state
 

@@ -13,14 +13,23 @@ from scipy.signal import lfilter
 
 from ..systems.linear import Array
 from .formula import PortLaw
-from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, positive, register
+from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, positive, register, rms
 
 _SMALL = 0.03  # initial force over the force that moves the port
 _PACES = (1.0, 4.0, 0.25)  # initial time constants over that of the motion
 
 
+class _Coupled(AbsorbedLaw):
+    """Element with states of its own that hangs on a port."""
+
+    linear = True
+    needs = frozenset(["velocity"])
+    secant = True
+    along_motion = False
+
+
 @register
-class MaxwellElement(AbsorbedLaw):
+class MaxwellElement(_Coupled):
     """Spring and damper in series."""
 
     where = frozenset(["first_order", "mechanical"])
@@ -35,15 +44,11 @@ class MaxwellElement(AbsorbedLaw):
         "{elastic} that relaxes",
         "An {elastic} that loses its {moved} with time is coupled in at {place}.",
     )
-    linear = True
     contains = MappingProxyType({"stiffness": {"time_constant": inf}, "damping": {"time_constant": 0.0}})
-    needs = frozenset(["velocity"])
     inner_states = 1
     essential = ("stiffness", "time_constant")
     belongs_to = "stiffness"
     states = ("stretch",)
-    secant = True
-    along_motion = False
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Add the stretch s of its spring."""
@@ -61,12 +66,12 @@ class MaxwellElement(AbsorbedLaw):
         for time in _times(seen):
             # spring force of 3 % of the force that moves the port
             stretch = time * _lag(seen.v, time, seen.dt)
-            found.append({"stiffness": _SMALL * seen.pull / _size(stretch), "time_constant": time})
+            found.append({"stiffness": _SMALL * seen.pull / (rms(stretch) or 1.0), "time_constant": time})
         return found
 
 
 @register
-class HiddenStore(AbsorbedLaw):
+class HiddenStore(_Coupled):
     """Store that is filled and emptied through a resistance."""
 
     where = frozenset(["first_order"])
@@ -80,15 +85,11 @@ class HiddenStore(AbsorbedLaw):
         "hidden {store}",
         "A {store} that the model lacks is coupled to {place}: it takes up and gives back with a delay.",
     )
-    linear = True
     contains = MappingProxyType({"mass": {"damping": inf}, "damping": {"mass": inf}})
-    needs = frozenset(["velocity"])
     inner_states = 1
     essential = ("mass", "damping")
     belongs_to = "mass"
     states = ("level",)
-    secant = True
-    along_motion = False
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Add its level z.
@@ -109,7 +110,7 @@ class HiddenStore(AbsorbedLaw):
         found = []
         for time in _times(seen):
             # flow of 3 % of what moves the state
-            damping = _SMALL * seen.pull / _size(seen.v - _lag(seen.v, time, seen.dt))
+            damping = _SMALL * seen.pull / (rms(seen.v - _lag(seen.v, time, seen.dt)) or 1.0)
             found.append({"mass": damping * time, "damping": damping})
         return found
 
@@ -120,7 +121,7 @@ def _times(seen: Seen) -> Iterator[float]:
     None is much shorter than a sample.
     """
     # time scale of the motion: rms v over rms dv/dt
-    pace = _size(seen.v - seen.v.mean()) / _size(np.gradient(seen.v, seen.dt))
+    pace = (rms(seen.v - seen.v.mean()) or 1.0) / (rms(np.gradient(seen.v, seen.dt)) or 1.0)
     return (max(factor * pace, 0.3 * seen.dt) for factor in _PACES)
 
 
@@ -129,10 +130,6 @@ def _lag(signal: Array, time: float, dt: float) -> Array:
     # exact recursion of a first-order lag for a held signal
     kept = float(np.exp(-dt / time))
     return np.asarray(lfilter([1.0 - kept], [1.0, -kept], signal, zi=[kept * signal[0]])[0])
-
-
-def _size(signal: Array) -> float:
-    return float(np.sqrt(np.mean(signal**2))) or 1.0
 
 
 @register
@@ -219,6 +216,7 @@ class Mass(AbsorbedLaw):
     is_parameter = True
     inertial = True
     signal = "acceleration"
+    of_known_stores = True  # only where a builder knows the store; else it rescales a row of A
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Add t to the inertia along the port."""
@@ -232,13 +230,9 @@ class Mass(AbsorbedLaw):
         # the mass at the port stays positive
         return -structure.inertia(place) * (1 - 1e-9), inf
 
-    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
-        """Only where a builder knows the store; else it rescales a row of A."""
-        return known_mass
-
 
 @register
-class HiddenMode(AbsorbedLaw):
+class HiddenMode(_Coupled):
     """Mass, spring and damper that hang on a port."""
 
     where = frozenset(["mechanical"])
@@ -253,15 +247,11 @@ class HiddenMode(AbsorbedLaw):
         "that the model lacks."
     )
     words = ("hidden {resonance}", "A {resonance} that the model lacks is coupled in at {place}.")
-    linear = True
-    needs = frozenset(["velocity"])
     inner_states = 2
     essential = ("mass", "stiffness")
     senses = frozenset({"position", "velocity", "acceleration"})
     belongs_to = "mass"
     states = ("stretch", "velocity")
-    secant = True
-    along_motion = False
 
     def absorb(self, into: Assembly, site: Site, *values: Any) -> None:
         """Add its stretch u and speed s: f = k u + c (v - s)."""

@@ -13,7 +13,18 @@ from scipy.interpolate import CubicSpline
 
 from ..systems.linear import Array
 from .formula import FADED, FormulaLaw, InputLaw, OutputLaw
-from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, delays, positive, register
+from .law import (
+    AbsorbedLaw,
+    Assembly,
+    Coefficient,
+    Seen,
+    Site,
+    at_quantiles,
+    delays,
+    positive,
+    register,
+    rms,
+)  # fmt: skip
 
 
 # common parts of the laws at inputs and outputs
@@ -231,7 +242,7 @@ class InputRange(InputLaw):
         """Levels that the input passes in both directions, or in one."""
         # quantiles of the signal for both limits
         tails = (0.05, 0.95), (0.2, 0.8), (0.0, 0.85), (0.15, 1.0)
-        return [dict(zip(("low", "high"), np.quantile(seen.signal, q).tolist(), strict=True)) for q in tails]
+        return [{"low": low, "high": high} for low, high in np.quantile(seen.signal, tails).tolist()]
 
 
 @register
@@ -254,8 +265,7 @@ class InputPower(InputLaw):
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Squares and roots about the size of the command."""
         # level: the rms of the command, where a power changes least
-        rms = float(np.sqrt(np.mean(seen.signal**2)))
-        return [{"power": p, "level": rms} for p in (2.0, 0.6, 1.4)]
+        return [{"power": p, "level": rms(seen.signal)} for p in (2.0, 0.6, 1.4)]
 
 
 @register
@@ -290,7 +300,7 @@ class InputPlay(InputLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps in shares of the command."""
-        return [{"gap": float(q)} for q in np.quantile(np.abs(seen.signal), [0.1, 0.3, 0.6])]
+        return at_quantiles("gap", np.abs(seen.signal), [0.1, 0.3, 0.6])
 
 
 @register
@@ -460,7 +470,7 @@ class OutputRange(OutputLaw):
         """The ends of the record, and where noise upon it would have its limits."""
         # quantiles of the signal: the extremes, or inside of the noise on them
         tails = (0.0, 1.0), (0.05, 0.95), (0.05, 1.0), (0.0, 0.95)
-        return [dict(zip(("low", "high"), np.quantile(seen.signal, q).tolist(), strict=True)) for q in tails]
+        return [{"low": low, "high": high} for low, high in np.quantile(seen.signal, tails).tolist()]
 
 
 @register

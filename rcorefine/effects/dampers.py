@@ -7,10 +7,18 @@ from collections.abc import Sequence
 from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-
 from .formula import PortLaw
-from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, nominal_is_left, positive, register
+from .law import (
+    AbsorbedLaw,
+    Assembly,
+    Coefficient,
+    Seen,
+    Site,
+    at_quantiles,
+    nominal_is_left,
+    positive,
+    register,
+)
 
 ROOT_WIDTH = 1e-3  # smoothing width of a root over the rms level, since a root has no slope at zero
 
@@ -28,16 +36,13 @@ class SqrtFlow(PortLaw):
     )
     domains = frozenset(["first_order", "hydraulic"])
     width_share = ROOT_WIDTH
+    of_levels = True  # a level has a root, the difference of two temperatures has not
 
     @staticmethod
     def law(v, flow, width):  # type: ignore[no-untyped-def]
         """Formula."""
         # v / (v^2 + width^2)^(1/4): the root, smooth at zero
         return flow * v / math.sqrt(math.sqrt(v * v + width * width)) if v > 0.0 else 0.0
-
-    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
-        """A level has a root, the difference of two temperatures has not."""
-        return not between
 
 
 @register
@@ -55,6 +60,7 @@ class ThresholdFlow(PortLaw):
     explanation = "Beyond a certain level something spills over at {place}."
     contains = MappingProxyType({"damping": {"threshold": 0.0}})  # of a level, which is not negative
     domains = frozenset(["first_order", "hydraulic"])
+    of_levels = True  # a level has a rim, the difference of two temperatures has not
 
     @staticmethod
     def law(v, flow, threshold):  # type: ignore[no-untyped-def]
@@ -62,14 +68,10 @@ class ThresholdFlow(PortLaw):
         # no flow below the threshold
         return flow * max(0.0, v - threshold)
 
-    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
-        """A level has a rim, the difference of two temperatures has not."""
-        return not between
-
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Rims that the level reaches."""
         # thresholds at quantiles of the level
-        return [{"threshold": float(q)} for q in np.quantile(seen.v, [0.7, 0.9, 0.5])]
+        return at_quantiles("threshold", seen.v, [0.7, 0.9, 0.5])
 
 
 @register
@@ -109,16 +111,13 @@ class ExponentialLoss(PortLaw):
     words = ("exponential {loss}", "The {loss} at {place} grows exponentially on one side, as at a diode.")
     domains = frozenset(["first_order", "current", "voltage"])
     resists = True
+    both_ways = True  # a flow that has one direction has no side that blocks
 
     @staticmethod
     def law(v, flow, scale):  # type: ignore[no-untyped-def]
         """Formula."""
         # the exponent is limited, so that the search cannot overflow
         return flow * math.copysign(math.exp(min(v / scale, 40.0)) - 1.0, v)
-
-    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
-        """A flow that has one direction has no side that blocks."""
-        return not one_way
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Shares of the largest value on either side."""
@@ -239,15 +238,12 @@ class CubicDamping(PortLaw):
     explanation = "The damping at {place} grows with the cube of the speed."
     words = ("cubic {loss}", "The {loss} at {place} has a part that grows with the cube of the {state}.")
     resists = True
+    both_ways = True  # a flow that has one direction is no odd function
 
     @staticmethod
     def law(v, cubic_damping):  # type: ignore[no-untyped-def]
         """Formula."""
         return cubic_damping * v**3
-
-    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
-        """A flow that has one direction is no odd function."""
-        return not one_way
 
 
 @register

@@ -144,28 +144,16 @@ class Effect:
 
     def _check_values(self) -> None:
         coefficients = self.coefficients
-        constants = self.spec.adjustable
         # names that each argument may hold
-        allowed = {"start": coefficients, "fixed": coefficients + constants, "prior": coefficients}
+        allowed = {"start": coefficients, "fixed": coefficients + self.spec.adjustable, "prior": coefficients}
         for argument, names in allowed.items():
             values: dict[str, float] = getattr(self, "_" + argument)
             for key, value in values.items():
                 where = f"{argument}[{key!r}] of {self.kind} at {self.place}"
                 if key not in names:
                     raise ct.ControlArgument(f"{where}: no such coefficient, only {', '.join(names)}")
-                number = as_number(value, where, error=ModelError)
-                if argument == "prior" and number <= 0:
-                    raise ModelError(f"{where} is a standard deviation and must be positive, not {number}")
-                # constants are scales, and therefore positive
-                if argument == "fixed" and key in constants and not number > 0:
-                    if number or key not in self.spec.from_zero:
-                        raise ModelError(f"{where} must be positive, not {number}")
-                # values within the bounds of the law
-                if argument != "prior" and key in coefficients:
-                    lower, upper = self.bounds(key)
-                    if not lower <= number <= upper:
-                        raise ModelError(f"{where} = {number:g} is outside [{lower:g}, {upper:g}]")
-                values[key] = number
+                values[key] = as_number(value, where, error=ModelError)
+                self._check_range(argument, key, values[key], where)
         # coefficients that are ordered, such as static above Coulomb force
         known = {**self._start, **self._fixed}
         for larger, smaller in self.spec.order:
@@ -180,6 +168,20 @@ class Effect:
             raise ModelError(
                 f"{', '.join(twice)} of {self.label} is both fixed and given a start or prior; give one"
             )
+
+    def _check_range(self, argument: str, key: str, number: float, where: str) -> None:
+        if argument == "prior":
+            if number <= 0:
+                raise ModelError(f"{where} is a standard deviation and must be positive, not {number}")
+            return
+        # constants are scales, and therefore positive
+        scale = argument == "fixed" and key in self.spec.adjustable
+        if scale and (number < 0 or (number == 0 and key not in self.spec.from_zero)):
+            raise ModelError(f"{where} must be positive, not {number}")
+        # values within the bounds of the law
+        lower, upper = self.bounds(key) if key in self.coefficients else (-np.inf, np.inf)
+        if not lower <= number <= upper:
+            raise ModelError(f"{where} = {number:g} is outside [{lower:g}, {upper:g}]")
 
     @property
     def start(self) -> dict[str, float]:
@@ -258,7 +260,7 @@ class Effect:
         as_choice(port_kind, "port_kind", tuple(DOMAINS))
         if port_kind == self._domain:
             return self
-        return _restore({name: getattr(self, name) for name in ARGUMENTS}, port_kind)
+        return _restore(self._given(), port_kind)
 
     def bounds(self, coefficient: str) -> tuple[float, float]:
         """Lower and upper bound that physics sets.
@@ -311,8 +313,10 @@ class Effect:
         Effect
             New effect.
         """
-        given = {name: getattr(self, name) for name in ARGUMENTS}
-        return _restore(given | changes, self._domain)
+        return _restore(self._given() | changes, self._domain)
+
+    def _given(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in ARGUMENTS}
 
     def _key(self) -> tuple[Any, ...]:
         # starts and priors do not make another effect
@@ -334,8 +338,7 @@ class Effect:
         own = type(self.spec)
         # pickle the class of the law, which the other process may not have registered
         law = self.law if self.law is not None or own.__module__.startswith(__package__) else own
-        given = {name: getattr(self, name) for name in ARGUMENTS} | {"law": law}
-        return (_restore, (given, self._domain))
+        return _restore, (self._given() | {"law": law}, self._domain)
 
     def __repr__(self) -> str:
         given = [repr(self.kind), repr(self.place)]
@@ -516,17 +519,9 @@ def unit_forces(
     list of ndarray, or None
         None for a law that is not a force along a motion.
     """
-    # operating point: subtract force and tangent there, the tangent by central differences
-    if rest is not None and effect.spec.signal != "constant":
-        sizes = np.abs([rest[0] or np.abs(d).max(initial=0.0), rest[1]]) * (not effect.spec.linear)
-        steps = 1e-5 * sizes * (not effect.spec.inner_states)
-        near = np.array(rest)[:, None] + steps[:, None] * [[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]]
-        per, moved = 0.5 * steps / np.maximum(steps, 1e-150) ** 2, np.hstack([near, [d, v]])
-        # at an operating point no law takes the inputs
-        whole = unit_forces(effect, moved[0], moved[1], shapes)
-        above = moved[:, 5:] - near[:, :1]
-        return whole and [f[5:] - f[0] - (f[[1, 3]] - f[[2, 4]]) * per @ above for f in whole]
     law, simple = effect.spec, {"displacement": d, "velocity": v, "constant": np.ones(v.size)}
+    if rest is not None and law.signal != "constant":
+        return _forces_above(effect, np.array([d, v]), shapes, rest)
     # linear in one signal: that signal itself
     if law.signal in simple:
         return [np.asarray(simple[law.signal], dtype=float)]
@@ -534,17 +529,42 @@ def unit_forces(
         return None
     # a copy: a read-only view would have the kernel compiled once more
     inputs = np.zeros((d.size, 0)) if w is None else np.array(w.T, order="C")
-    d, v, columns = np.ascontiguousarray(d, dtype=float), np.ascontiguousarray(v, dtype=float), list[Array]()
+    columns = list[Array]()
     # one column for each coefficient that scales the force, in each shape
     for shape in shapes if law.shaping else [{}]:
         values = {**law.constants, **effect.fixed, **shape}
         if not law.shaping <= values.keys():
             return None
-        row = np.zeros((1, MAX_COEFFICIENTS))
-        row[0, : len(law.row)] = [values.get(name) or 0.0 for name in law.row]
-        found = np.zeros((len(law.coefficients), d.size))
-        with np.errstate(all="ignore"):
-            forces_along(law.code, d, v, inputs, row, _SHARP, found)
-        raise_pending()
-        columns += [found[c] for c, name in enumerate(law.coefficient_names) if name not in law.shaping]
+        columns += _force_columns(law, values, d, v, inputs)
     return columns
+
+
+def _force_columns(
+    law: PortLaw, values: dict[str, float | None], d: Array, v: Array, inputs: Array
+) -> list[Array]:
+    """Return the force per unit of each coefficient that scales it."""
+    d, v = np.ascontiguousarray(d, dtype=float), np.ascontiguousarray(v, dtype=float)
+    row = np.zeros((1, MAX_COEFFICIENTS))
+    row[0, : len(law.row)] = [values.get(name) or 0.0 for name in law.row]
+    found = np.zeros((len(law.coefficients), d.size))
+    with np.errstate(all="ignore"):
+        forces_along(law.code, d, v, inputs, row, _SHARP, found)
+    raise_pending()
+    return [found[c] for c, name in enumerate(law.coefficient_names) if name not in law.shaping]
+
+
+def _forces_above(
+    effect: Effect, motion: Array, shapes: list[dict[str, float]], rest: tuple[float, float]
+) -> list[Array] | None:
+    """Return forces less force and tangent at an operating point.
+
+    The tangent is found by central differences.
+    """
+    law = effect.spec
+    sizes = np.abs([rest[0] or np.abs(motion[0]).max(initial=0.0), rest[1]]) * (not law.linear)
+    steps = 1e-5 * sizes * (not law.inner_states)
+    near = np.array(rest)[:, None] + steps[:, None] * [[0, 1, -1, 0, 0], [0, 0, 0, 1, -1]]
+    per, moved = 0.5 * steps / np.maximum(steps, 1e-150) ** 2, np.hstack([near, motion])
+    # at an operating point no law takes the inputs
+    whole, above = unit_forces(effect, moved[0], moved[1], shapes), motion - near[:, :1]
+    return whole and [f[5:] - f[0] - (f[[1, 3]] - f[[2, 4]]) * per @ above for f in whole]

@@ -12,7 +12,7 @@ import math
 import operator
 import pickle
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial, reduce
 from types import CellType, CodeType, FunctionType, MethodType, ModuleType, SimpleNamespace
 from typing import Any, Final, TypeAlias, TypeVar
@@ -148,6 +148,28 @@ _KNOWN: Final[Mapping[str, Callable[..., float]]] = {
 }
 
 
+#: Operations that known numbers make simple; None where they do not.
+_SIMPLER: Final[Mapping[str, Callable[..., Number | None]]] = {
+    "+": lambda a, b: b if is_number(a, 0.0) else a if is_number(b, 0.0) else None,
+    "-": lambda a, b: a if is_number(b, 0.0) else 0.0 if _same(a, b) else None,
+    "*": lambda a, b: (
+        0.0
+        if is_number(a, 0.0) or is_number(b, 0.0)
+        else b
+        if is_number(a, 1.0)
+        else a
+        if is_number(b, 1.0)
+        else None
+    ),
+    "/": lambda a, b: 0.0 if is_number(a, 0.0) else a if is_number(b, 1.0) else None,
+    # small whole powers as products: faster than a power, and valid for negative bases
+    "**": lambda a, b: (
+        None if isinstance(b, Symbolic) or b not in range(5) else reduce(operator.mul, [a] * int(b), 1.0)
+    ),
+    "pick": lambda a, b, yes, no: yes if _same(yes, no) else None,
+}
+
+
 #: Derivative of a function of `math` by its argument u, its value being v.
 _SLOPES: Final[Mapping[str, Callable[[Any, Any], Number]]] = {
     "sin": lambda u, v: _both("cos", u),
@@ -169,10 +191,41 @@ _SLOPES: Final[Mapping[str, Callable[[Any, Any], Number]]] = {
     "fabs": lambda u, v: _both("pick", u, 0.0, 1.0, -1.0),
 }
 
+
+def _slope_of_power(given: Sequence[Any], slopes: Sequence[Number], value: Number) -> Number:
+    # d(a^b) = b a^(b - 1) da + a^b log(a) db
+    (a, b), (da, db) = given, slopes
+    found: Number = 0.0
+    if not is_number(da, 0.0):
+        found = _both("*", _both("*", b, _both("**", a, _both("-", b, 1.0))), da)
+    if not is_number(db, 0.0):
+        found = _both("+", found, _both("*", _both("*", value, _both("log", a)), db))
+    return found
+
+
+#: Derivative of other operations, by their arguments g, the slopes d of these and the value v: chain rule,
+#: product rule, quotient rule and so on.
+_SLOPES_OF_MORE: Final[Mapping[str, Callable[..., Number]]] = {
+    "+": lambda g, d, v: _both("+", *d),
+    "-": lambda g, d, v: _both("-", *d),
+    "*": lambda g, d, v: _both("+", _both("*", d[0], g[1]), _both("*", g[0], d[1])),
+    # d(a / b) = (da - (a / b) db) / b, with one division for all slopes
+    "/": lambda g, d, v: _both("*", _both("-", d[0], _both("*", v, d[1])), _both("/", 1.0, g[1])),
+    "**": _slope_of_power,
+    "atan2": lambda g, d, v: _both(
+        "/",
+        _both("-", _both("*", d[0], g[1]), _both("*", g[0], d[1])),
+        _both("+", _both("*", g[0], g[0]), _both("*", g[1], g[1])),
+    ),
+    "max": lambda g, d, v: _both("pick", *g, *d),
+    "min": lambda g, d, v: _both("pick", g[1], g[0], *d),
+    "pick": lambda g, d, v: _both("pick", g[0], g[1], d[2], d[3]),
+}
+
 #: The same functions as numpy calls them.
 _BY_NUMPY: Final[Mapping[str, str]] = {
     **{name: name for name in _SLOPES},
-    **{"arcsin": "asin", "arccos": "acos", "arctan": "atan", "arcsinh": "asinh", "arctan2": "atan2"},
+    **{theirs: name for name, theirs in OF_NUMPY.items()},
     "absolute": "fabs",
     **{"add": "+", "subtract": "-", "multiply": "*", "divide": "/", "power": "**", "float_power": "**"},
 }
@@ -236,7 +289,7 @@ class Tape:
             except (ArithmeticError, ValueError) as error:
                 raise Untraceable(str(error)) from error
         # rules such as x + 0 = x and x * 1 = x
-        simple = _simplify(name, numbers)
+        simple = _SIMPLER[name](*numbers) if name in _SIMPLER else None
         return self._keep(name, numbers) if simple is None else simple
 
     def _keep(self, name: str, given: tuple[Any, ...]) -> Symbolic:
@@ -281,37 +334,11 @@ class Tape:
             # dx/dx = 1
             return 1.0 if at == by else 0.0
         slopes = [self._slopes[one.at, by] if isinstance(one, Symbolic) else 0.0 for one in given]
+        here = Symbolic(self, at)
+        if name not in _SLOPES:
+            return _SLOPES_OF_MORE[name](given, slopes, here)
         # chain rule: df(u) = f'(u) du
-        here, a, da = Symbolic(self, at), given[0], slopes[0]
-        if name in _SLOPES:
-            return 0.0 if is_number(da, 0.0) else self.take("*", _SLOPES[name](a, here), da)
-        if name == "pick":
-            return self.take("pick", a, given[1], slopes[2], slopes[3])
-        # product rule, quotient rule and so on
-        b, db = given[1], slopes[1]
-        match name:
-            case "+" | "-":
-                return self.take(name, da, db)
-            case "*":
-                return self.take("+", self.take("*", da, b), self.take("*", a, db))
-            case "/":
-                # d(a / b) = (da - (a / b) db) / b
-                over = self.take("/", 1.0, b)  # one division for all slopes
-                return self.take("*", self.take("-", da, self.take("*", here, db)), over)
-            case "atan2":
-                crossed = self.take("-", self.take("*", da, b), self.take("*", a, db))
-                return self.take("/", crossed, self.take("+", self.take("*", a, a), self.take("*", b, b)))
-            case "max":
-                return self.take("pick", a, b, da, db)
-            case "min":
-                return self.take("pick", b, a, da, db)
-        # d(a^b) = b a^(b - 1) da + a^b log(a) db
-        found: Number = 0.0  # of a power
-        if not is_number(da, 0.0):
-            found = self.take("*", self.take("*", b, self.take("**", a, self.take("-", b, 1.0))), da)
-        if not is_number(db, 0.0):
-            found = self.take("+", found, self.take("*", self.take("*", here, self.take("log", a)), db))
-        return found
+        return 0.0 if is_number(slopes[0], 0.0) else self.take("*", _SLOPES[name](given[0], here), slopes[0])
 
     def code(self, wanted: Iterable[Number], done: set[int] | None = None) -> list[str]:
         """Return the lines of code that compute the wanted values.
@@ -418,34 +445,6 @@ def _finite_number(value: Any) -> float:
 def is_number(value: Number, number: float) -> bool:
     """Return whether a value is known and equal to a number."""
     return not isinstance(value, Symbolic) and value == number
-
-
-def _simplify(name: str, given: tuple[Number, ...]) -> Number | None:
-    """Return the simplified result of an operation, or None.
-
-    Known numbers can make an operation simple.
-    """
-    if name == "pick" and _same(given[2], given[3]):
-        return given[2]
-    if len(given) != 2:
-        return None
-    a, b = given
-    match name:
-        case "+":
-            return b if is_number(a, 0.0) else a if is_number(b, 0.0) else None
-        case "-":
-            return a if is_number(b, 0.0) else 0.0 if _same(a, b) else None
-        case "*":
-            # a product with zero
-            if is_number(a, 0.0) or is_number(b, 0.0):
-                return 0.0
-            return b if is_number(a, 1.0) else a if is_number(b, 1.0) else None
-        case "/":
-            return 0.0 if is_number(a, 0.0) else a if is_number(b, 1.0) else None
-        # small whole powers as products: faster than a power, and valid for negative bases
-        case "**" if any(is_number(b, whole) for whole in range(5)):
-            return reduce(operator.mul, [a] * int(b), 1.0)
-    return None
 
 
 def _same(a: Number, b: Number) -> bool:

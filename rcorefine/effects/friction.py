@@ -9,41 +9,43 @@ from types import MappingProxyType
 import numpy as np
 
 from .formula import PortLaw
-from .law import Coefficient, Seen, positive, register
+from .law import Coefficient, Seen, at_quantiles, positive, register, rms
 
 # the smoothing width of sgn(v) is fixed, because a free one would only fit noise
 SIGN_WIDTH = 0.005  # width over the rms velocity
 SEEN_TO_FADE = (3.0, 1e5)  # bounds of a fading velocity in widths of sgn(v)
 
 
+class _DryFriction(PortLaw):
+    """Force that jumps with the sign of the velocity."""
+
+    constants = MappingProxyType({"width": None})
+    jumps = True
+    turns = True
+    width_share = SIGN_WIDTH
+
+
 # friction without memory: force by velocity alone
 @register
-class CoulombFriction(PortLaw):
+class CoulombFriction(_DryFriction):
     """Dry friction of one level."""
 
     where = frozenset(["first_order", "mechanical"])
     coefficients = (Coefficient("force", "force", explanation="friction force, whatever the speed"),)
-    constants = MappingProxyType({"width": None})
     formula = "f = t sgn(v)"
     explanation = "Dry friction acts at {place}: a force of constant size that opposes the motion."
     words = (
         "{loss} of constant size",
         "The {loss} at {place} has a part of constant size, with the sign of the {state}.",
     )
-    jumps = True
-    turns = True
-    width_share = SIGN_WIDTH
     with_offset = "asymmetric_friction"
+    both_ways = True  # a flow that has one direction has no sign to jump with
 
     @staticmethod
     def law(v, force, width):  # type: ignore[no-untyped-def]
         """Formula."""
         # sgn(v) smoothed to tanh(v / width)
         return force * math.tanh(v / width)
-
-    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
-        """A flow that has one direction has no sign to jump with."""
-        return not one_way
 
 
 @register
@@ -72,6 +74,7 @@ class SmoothFriction(PortLaw):
     turns = True
     width_share = SIGN_WIDTH
     contains = MappingProxyType({"damping": {}, "coulomb_friction": {"velocity": 1e-9}})
+    both_ways = True  # a flow that has one direction is no odd function
 
     @staticmethod
     def law(v, force, velocity):  # type: ignore[no-untyped-def]
@@ -79,19 +82,14 @@ class SmoothFriction(PortLaw):
         # sgn(v) with a width that is estimated
         return force * math.tanh(v / velocity)
 
-    def plausible_in_store(self, *, one_way: bool, between: bool, known_mass: bool) -> bool:
-        """A flow that has one direction is no odd function."""
-        return not one_way
-
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Widths about that of the motion."""
         # widths around the rms velocity
-        rms = float(np.sqrt(np.mean(seen.v**2)))
-        return [{"velocity": q * rms} for q in (1.0, 0.3, 3.0)]
+        return [{"velocity": q * rms(seen.v)} for q in (1.0, 0.3, 3.0)]
 
 
 @register
-class AsymmetricFriction(PortLaw):
+class AsymmetricFriction(_DryFriction):
     """Dry friction of two levels."""
 
     where = frozenset(["first_order", "mechanical"])
@@ -100,16 +98,12 @@ class AsymmetricFriction(PortLaw):
         Coefficient("force_plus", "force", explanation="friction force where v > 0"),
         Coefficient("force_minus", "force", explanation="friction force where v < 0 (positive = resistance)"),
     )
-    constants = MappingProxyType({"width": None})
     formula = "f = t+ where v > 0, -t- where v < 0"
     explanation = "Dry friction at {place} differs between the two directions of motion, like a worn screw."
     words = (
         "{loss} of two sizes",
         "The {loss} at {place} has a part of constant size, another one for each sign of the {state}.",
     )
-    jumps = True
-    turns = True
-    width_share = SIGN_WIDTH
     holds_constant = True
     contains = MappingProxyType({"coulomb_friction": {}, "constant_force": {}})
 
@@ -129,7 +123,7 @@ class AsymmetricFriction(PortLaw):
 
 
 @register
-class StribeckFriction(PortLaw):
+class StribeckFriction(_DryFriction):
     """Dry friction that is higher at breakaway."""
 
     where = frozenset(["first_order", "mechanical"])
@@ -145,7 +139,6 @@ class StribeckFriction(PortLaw):
             shapes=True,
         ),
     )
-    constants = MappingProxyType({"width": None})
     formula = "f = sgn(v) (Fc + (Fs - Fc) exp(-(v/vs)^2))"
     explanation = (
         "Dry friction at {place} is at least as high at breakaway as in motion; any excess fades with "
@@ -156,9 +149,6 @@ class StribeckFriction(PortLaw):
         "The {loss} at {place} has a part that is higher at a small {state} than at a large one.",
     )
     order = (("static_force", "coulomb_force"),)
-    jumps = True
-    turns = True
-    width_share = SIGN_WIDTH
     contains = MappingProxyType({"coulomb_friction": {}})
 
     @staticmethod
@@ -170,9 +160,12 @@ class StribeckFriction(PortLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """A level to begin with: at zero force the fading speed has no gradient."""
-        rms = float(np.sqrt(np.mean(seen.v**2)))
         return [
-            {"velocity": q * rms, "coulomb_force": share * seen.pull, "static_force": 2 * share * seen.pull}
+            {
+                "velocity": q * rms(seen.v),
+                "coulomb_force": share * seen.pull,
+                "static_force": 2 * share * seen.pull,
+            }
             for share in (0.05, 0.2)
             for q in (0.3, 0.1, 1.0)
         ]
@@ -180,22 +173,18 @@ class StribeckFriction(PortLaw):
 
 # friction with the load
 @register
-class LoadFriction(PortLaw):
+class LoadFriction(_DryFriction):
     """Dry friction under a load that the deflection brings."""
 
     coefficients = (
         Coefficient("load_friction", "force/position", explanation="friction force per deflection"),
     )
-    constants = MappingProxyType({"width": None})
     formula = "f = t |d| sgn(v)"
     explanation = (
         "Dry friction at {place} grows with the load that its deflection brings: leaf springs, wedges, gears."
     )
     belongs_to = "stiffness"
     on_request = True  # the load must be known to come from this deflection
-    jumps = True
-    turns = True
-    width_share = SIGN_WIDTH
 
     @staticmethod
     def law(d, v, load_friction, width):  # type: ignore[no-untyped-def]
@@ -248,9 +237,8 @@ class Hysteresis(PortLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Presliding in shares of the motion."""
-        rms = float(np.sqrt(np.mean(seen.d**2)))
         # presliding displacements around a third of the rms displacement
-        return [{"displacement": q * rms} for q in (0.3, 0.05, 1.0)]
+        return [{"displacement": q * rms(seen.d)} for q in (0.3, 0.05, 1.0)]
 
 
 @register
@@ -315,7 +303,7 @@ class LugreFriction(PortLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Presliding and fading in shares of the motion."""
-        d, v = (float(np.sqrt(np.mean(s**2))) for s in (seen.d, seen.v))
+        d, v = rms(seen.d), rms(seen.v)
         # pairs of presliding displacement and fading velocity, in shares of the rms
         pairs = ((0.05, 0.3), (0.3, 0.3), (0.05, 0.1))
         return [{"static_ratio": 1.5, "velocity": q * v, "displacement": p * d} for p, q in pairs]
@@ -345,4 +333,4 @@ class Play(PortLaw):
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps in shares of the motion."""
-        return [{"gap": float(q)} for q in np.quantile(np.abs(seen.d), [0.3, 0.6, 0.1])]
+        return at_quantiles("gap", np.abs(seen.d), [0.3, 0.6, 0.1])

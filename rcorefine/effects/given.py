@@ -139,28 +139,34 @@ def _arguments(
         given = list(inspect.signature(function).parameters.values())
     except (TypeError, ValueError):  # a function without a signature
         return ("d", "v", *names), frozenset()
-    # arguments by position and by name; *args and **kwargs accept any
-    placed = [p for p in given if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
-    rest = any(p.kind is p.VAR_POSITIONAL for p in given)
-    anything = any(p.kind is p.VAR_KEYWORD for p in given)
-    if len(placed) < 2 and not rest:
+    # *args and **kwargs accept any
+    kinds = {p.kind for p in given}
+    first = _first_two(function, given)
+    # the others are told by name
+    others = [p for p in given if p.name not in first and p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    known = {*names, *Custom.signals}
+    taken = [p.name for p in others if p.name in known or p.default is p.empty]
+    keyword = {p.name for p in others if p.kind is p.KEYWORD_ONLY}
+    # arguments after one that keeps its default go by name
+    if len(taken) < len(others):
+        keyword |= set(taken)
+    if inspect.Parameter.VAR_KEYWORD in kinds:
+        taken += [name for name in names if name not in taken]
+        keyword |= set(names)
+    return (*first, *taken), frozenset(keyword & set(taken))
+
+
+def _first_two(function: Callable[..., Any], given: list[inspect.Parameter]) -> list[str]:
+    """Return the names of the first two arguments: displacement and velocity."""
+    placed = [p.name for p in given if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    if len(placed) > 1:
+        return placed[:2]
+    if not any(p.kind is p.VAR_POSITIONAL for p in given):
         raise ct.ControlArgument(
             f"the law {getattr(function, '__name__', function)!r} takes {len(placed)} arguments; "
             "it must take displacement and velocity, law(d, v)"
         )
-    # the first two are displacement and velocity, the others are told by name
-    first = [p.name for p in placed[:2]] if len(placed) > 1 else ["d", "v"]
-    others = [p for p in given if p.name not in first and p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
-    known = {*names, *Custom.signals}
-    taken = [p.name for p in others if p.name in known or p.default is p.empty]
-    taken += [name for name in names if anything and name not in taken]
-    keyword = {p.name for p in others if p.kind is p.KEYWORD_ONLY and p.name in taken}
-    keyword |= set(names) if anything else set()
-    skipped = [p.name for p in others if p.name not in taken]
-    # arguments after one that keeps its default go by name
-    if skipped:  # an argument that keeps its default may come before them
-        keyword |= set(taken)
-    return (*first, *taken), frozenset(keyword)
+    return ["d", "v"]
 
 
 @dataclass(frozen=True)

@@ -62,6 +62,16 @@ class Seen(Protocol):
         """Largest acceleration per force at the port."""
 
 
+def rms(signal: Array) -> float:
+    """Return the root mean square of a signal."""
+    return float(np.sqrt(np.mean(signal**2)))
+
+
+def at_quantiles(name: str, signal: Array, shares: Sequence[float]) -> list[dict[str, float]]:
+    """Return initial guesses of a coefficient at quantiles of a signal."""
+    return [{name: float(q)} for q in np.quantile(signal, shares)]
+
+
 def delays(seen: Seen) -> list[dict[str, float]]:
     """Return initial guesses of a delay.
 
@@ -193,6 +203,12 @@ class Law:
         Whether it is looked for only at an input that never changes its sign.
     two_signed : bool
         Whether it is another law of the library where the state never changes its sign.
+    both_ways : bool
+        Whether it is implausible where a flow has one direction only.
+    of_levels : bool
+        Whether it is implausible where the state is a difference.
+    of_known_stores : bool
+        Whether it is implausible at a store whose size the model does not know.
     of_speeds : bool
         Whether it is looked for only at speeds, where the place is a state of its own.
     of_displacements : bool
@@ -252,6 +268,9 @@ class Law:
     of_record: ClassVar[bool] = False
     one_signed: ClassVar[bool] = False
     two_signed: ClassVar[bool] = False
+    both_ways: ClassVar[bool] = False
+    of_levels: ClassVar[bool] = False
+    of_known_stores: ClassVar[bool] = False
     of_speeds: ClassVar[bool] = False
     of_displacements: ClassVar[bool] = False
     of_differences: ClassVar[str] = ""
@@ -352,7 +371,9 @@ class Law:
         known_mass : bool
             Whether the model knows the size of the store.
         """
-        return True
+        if one_way and self.both_ways:
+            return False
+        return not (between and self.of_levels) and (known_mass or not self.of_known_stores)
 
     def push(self, linear: Any, place: str, act: Array | None) -> Array | None:
         """Return the direction in which it drives the states, or None.

@@ -6,6 +6,7 @@ It is straight-line code with exact derivatives, or the functions as they were w
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -152,23 +153,20 @@ def _source(
     values, slopes, by_numbers = [], [], []
     for i, (row, line) in enumerate(zip(rows, linear.tolist(), strict=True)):
         # row less its linear part, and a size for the judgment of rounding
-        straight: Any = sum((a * one for a, one in zip(line, z, strict=True)), 0.0)
+        straight: Any = sum(map(operator.mul, line, z), 0.0)
         values += [(f"{i}, 0", row - straight), (f"{i}, 1", abs(row) + abs(straight))]
-        found = zip(tape.derivatives(row, z), line, strict=True)
-        slopes += [(f"{i}, {2 + j}", slope - a) for j, (slope, a) in enumerate(found)]
-        columns = enumerate(tape.derivatives(row, p), 2 + len(z))
-        by_numbers += [(f"{i}, {column}", slope) for column, slope in columns]
+        found = map(operator.sub, tape.derivatives(row, z), line)
+        slopes += [(f"{i}, {j}", slope) for j, slope in enumerate(found, 2)]
+        by_numbers += [(f"{i}, {j}", slope) for j, slope in enumerate(tape.derivatives(row, p), 2 + len(z))]
     # code: symbols, values, then derivatives
-    names = [f"z{j} = z[{j}]" for j in range(len(z))] + [f"p{c} = p[{c}]" for c in range(len(p))]
+    names = [f"{name}{j} = {name}[{j}]" for name, some in (("z", z), ("p", p)) for j in range(len(some))]
     done: set[int] = set()
     lines = [*names, *tape.code([value for _, value in values], done)]
     lines += [f"out[{at}] = {tape.name(value)}" for at, value in values]
-    # the table is zero before: leave out entries that are always zero
-    slopes, by_numbers = (
-        [(at, slope) for at, slope in some if not is_number(slope, 0.0)] for some in (slopes, by_numbers)
-    )
     # derivatives follow only where they are wanted
-    for wanted, entries in ((1.0, slopes), (2.0, by_numbers)):
+    for wanted, some in ((1.0, slopes), (2.0, by_numbers)):
+        # the table is zero before: leave out entries that are always zero
+        entries = [(at, slope) for at, slope in some if not is_number(slope, 0.0)]
         lines += [f"if want < {wanted}:", "    return", *tape.code([slope for _, slope in entries], done)]
         lines += [f"out[{at}] = {tape.finite(slope, 0.0)}" for at, slope in entries]
     if len(lines) > _LONGEST:

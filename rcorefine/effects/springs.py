@@ -10,7 +10,17 @@ from typing import Any
 import numpy as np
 
 from .formula import PortLaw
-from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, nominal_is_left, positive, register
+from .law import (
+    AbsorbedLaw,
+    Assembly,
+    Coefficient,
+    Seen,
+    Site,
+    at_quantiles,
+    nominal_is_left,
+    positive,
+    register,
+)
 
 
 # change of a linear spring
@@ -126,7 +136,7 @@ class Clearance(PortLaw):
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps that the motion reaches now and then."""
         # quantiles of the displacement
-        return [{"gap": float(q)} for q in np.quantile(np.abs(seen.d), [0.4, 0.7, 0.9, 0.1])]
+        return at_quantiles("gap", np.abs(seen.d), [0.4, 0.7, 0.9, 0.1])
 
 
 @register
