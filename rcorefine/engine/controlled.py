@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product, starmap
 from typing import TYPE_CHECKING, Any
 
 import control as ct
@@ -224,30 +224,33 @@ def free_runs(
     n_states = max(model.n_states for model in models)
     # default horizon: the whole record, unless the model is unstable or integrates
     if seconds is None:
-        kinds = {(record.dt, record.n_samples): record for record in records}.values()
-        if any(runs_away(m, r) for m in models if m.is_continuous for r in kinds):
-            return [[slice(0, record.n_samples)] for record in records], (
+        whole = [[slice(0, record.n_samples)] for record in records]
+        kinds = {(record.dt, record.n_samples): record for record in records}
+        pairs = list(product(models, kinds.values()))
+        if any(model.is_continuous and runs_away(model, record) for model, record in pairs):
+            return whole, (
                 "The model is unstable and has no free run: it is judged by what it predicts one sample "
                 "ahead, with process noise (Kalman predictor) (horizon= gives short free runs)."
             )
-        if known_start or not any(integrates(m, r) for m in models for r in kinds):
-            return [[slice(0, record.n_samples)] for record in records], note
+        if known_start or not any(starmap(integrates, pairs)):
+            return whole, note
         seconds = max(record.n_samples * record.dt for record in records) / _WINDOWS
         least = 4 * n_states + 4
         note = (
             f"The model integrates, so free runs are cut into windows of {seconds:.3g} s "
             "with an initial state each (horizon=)."
         )
-    found = []
-    for record in records:
-        n, n_outputs = record.n_samples, record.outputs.shape[0]
-        # whole number of equal windows closest to the horizon
-        count = min(max(1, round(n * record.dt / seconds)), max(1, n // least))
-        if count > 1 and n // count * n_outputs <= n_states:
-            raise DataError(
-                f"a window of horizon = {seconds:g} s holds {n // count} samples of {n_outputs} output(s), "
-                f"too few to estimate {n_states} initial states from and to judge by; give a longer one"
-            )
-        edges = np.linspace(0, n, count + 1).round().astype(int)
-        found.append([slice(int(a), int(b)) for a, b in pairwise(edges)])
-    return found, note
+    return [_cut(record, seconds, least, n_states) for record in records], note
+
+
+def _cut(record: Measurement, seconds: float, least: int, n_states: int) -> list[slice]:
+    """Cut a record in equal windows whose length is closest to the horizon."""
+    n, n_outputs = record.n_samples, record.outputs.shape[0]
+    count = min(max(1, round(n * record.dt / seconds)), max(1, n // least))
+    if count > 1 and n // count * n_outputs <= n_states:
+        raise DataError(
+            f"a window of horizon = {seconds:g} s holds {n // count} samples of {n_outputs} output(s), "
+            f"too few to estimate {n_states} initial states from and to judge by; give a longer one"
+        )
+    edges = np.linspace(0, n, count + 1).round().astype(int)
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]

@@ -7,7 +7,6 @@ form), or windows (filter for a while, then run free), by one schedule.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +102,7 @@ class Engine:
         self._known_start = initial is not None
         self.lead = lead
         self._resets = sample_jumps(structure, data.dt)
+        self._lawless = not (structure.n_forces or structure.output_statics or self._resets.size)
         # delays and clock drift: outputs are interpolated between the samples, inputs between the substeps
         if structure.output_delays or clock_drift(structure, structure.start())[1]:
             substeps = max(substeps, _NODES_FOR_DELAY)
@@ -166,93 +166,85 @@ class Engine:
         DivergenceError
             If a state leaves all bounds.
         """
-        s = self.structure
-        # p columns of derivatives: free coefficients, then initial states
-        n, ny, m, N = s.n_states, s.n_outputs, s.n_forces, self.data.n_samples
-        p = (s.n_parameters if sensitivity else 0) + (n if initial_state else 0)
-        derivatives = sensitivity and s.n_parameters > 0
+        s, N = self.structure, self.data.n_samples
+        n, ny, p = s.n_states, s.n_outputs, s.n_parameters if sensitivity else 0
         # matrices of one substep, and their derivatives by the coefficients
-        at = setting(s, theta, self.data.dt / self.substeps, derivatives)
+        at = setting(s, theta, self.data.dt / self.substeps, p > 0)
         drive = self._signal.drive(s, theta)
         if not sensitivity:
             drive = drive.held
-        x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
         lead = self.lead if gain is None else gain
+        observer, loop = self._corrections(lead, use), commands(s, theta, self._signal, lead)
         # linear model: initial states act by superposition, so their derivatives are computed separately
-        lawless = not (m or s.output_statics or self._resets.size)
-        apart = initial_state and use is None and lawless
-        p -= n if apart else 0
-        S = start_columns(s, p) if initial_state and not apart else np.zeros((p, n))
-        flags, K = self._corrections(lead, use)
-        Yout = np.full((N, ny), np.nan)
-        SY = np.zeros((N, ny, p))
-        X = np.full((N if histories else 0, n), np.nan)
-        F = np.full((N if histories else 0, m), np.nan)
-        if not at.finite:
-            if check:
-                raise DivergenceError(
-                    "the model with these effects grows beyond all numbers within one sample; start from "
-                    "other coefficients or bound them"
-                )
-            return _trajectory(Yout, np.zeros((N, ny, p + n if apart else p)), X, F, 0)
-        observer = Corrections(self._measured, flags, K, self._resets)
-        into = MarchResult(Yout, SY, X, F, self._far, _BEYOND, self.substeps)
-        if lawless and not NUMBA:
-            blew_up = simulate_linear(at.model.at, drive, observer, x, S, into)
-        else:
-            loop, inner = commands(s, theta, self._signal, lead), np.zeros(s.n_ports + s.n_outputs)
-            if loop is not None:
-                inner = np.append(inner, np.full(s.n_outputs, np.nan))
-            blew_up = self._march(at, drive, observer, MarchState(x, inner, S), into, loop)
-        if apart:
-            SY = np.concatenate([SY, self._decay(at, theta, K, N if blew_up < 0 else blew_up)], axis=2)
+        apart = initial_state and use is None and self._lawless
+        S = start_columns(s, p + n) if initial_state and not apart else np.zeros((p, n))
+        kept = N * histories
+        into = MarchResult(
+            np.full((N, ny), np.nan), np.zeros((N, ny, len(S))), np.full((kept, n), np.nan),
+            np.full((kept, s.n_forces), np.nan), self._far, _BEYOND, self.substeps,
+        )  # fmt: skip
+        x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
+        blew_up = self._march(at, drive, observer, x, S, into, loop)
         if blew_up >= 0 and check:
             raise DivergenceError(
                 f"the simulation left all bounds at sample {blew_up} (t = {blew_up * self.data.dt:.6g} s): "
                 "the model with these effects is unstable; start from other coefficients or bound them"
+                if at.finite
+                else "the model with these effects grows beyond all numbers within one sample; start from "
+                "other coefficients or bound them"
             )
+        outputs, SY = into.outputs, into.sensitivity
+        if apart:
+            SY = np.concatenate([SY, self._decay(at, theta, observer.gain, blew_up)], axis=2)
         # output delays act after the simulation, by interpolation
         for index, channel in s.output_delays:
-            if np.isfinite(Yout[:, channel]).all():  # after divergence there is nothing to delay
-                self._delay_output(theta, index, channel, Yout, SY, sensitivity, drive)
-        return _trajectory(Yout - self._level, SY, X, F, blew_up)
+            if np.isfinite(outputs[:, channel]).all():  # after divergence there is nothing to delay
+                self._delay_output(theta, index, channel, outputs, SY, sensitivity, drive)
+        return _trajectory(outputs - self._level, SY, into.states, into.forces, blew_up)
 
     def _march(
-        self, at: Setting, drive: Drive, observer: Corrections, course: MarchState, into: MarchResult,
+        self, at: Setting, drive: Drive, observer: Corrections, x: Array, S: Array, into: MarchResult,
         loop: Commands | None,
     ) -> int:  # fmt: skip
-        """March over the record, from sample to sample where a loop asks for it."""
+        """March over the record, from sample to sample where a loop asks for it.
+
+        Return the first sample at which the state left all bounds, or -1.
+        """
+        if not at.finite:
+            return 0
+        if self._lawless and not NUMBA:
+            return simulate_linear(at.model.at, drive, observer, x, S, into)
+        ny, inner = self.structure.n_outputs, np.zeros(self.structure.n_ports + self.structure.n_outputs)
         with np.errstate(all="ignore"):  # the march detects overflow itself; no warnings, as in compiled code
             if loop is None:
-                blew_up: int = march(at.model, drive, observer, course, into)
+                blew_up: int = march(at.model, drive, observer, MarchState(x, inner, S), into)
             else:
+                course = MarchState(x, np.append(inner, np.full(ny, np.nan)), S)
                 given = at.model, drive.with_ends, observer, course, into, loop
                 blew_up = march_in_loop(address_of_march(), *given)
         raise_pending()
         return blew_up
 
-    def _decay(self, at: Setting, theta: Array, gain: Array, until: int) -> Array:
+    def _decay(self, at: Setting, theta: Array, gain: Array, blew_up: int) -> Array:
         """Return the output derivatives by the initial states, (N, n_y, n).
 
-        The model is linear. From the sample `until` on they are zero.
+        The model is linear. From the sample `blew_up` on they are zero.
         """
         s, N = self.structure, self.data.n_samples
         longest = 1 << (N - 1).bit_length()  # records of similar length share the result
         key = ("decay", theta[s.absorbed].tobytes(), gain.tobytes(), self.data.dt, self.substeps, longest)
         found = s.kept(key, lambda: at.decay(self.substeps, gain, longest))[:N]
-        return found if until == N else np.where((np.arange(N) < until)[:, None, None], found, 0.0)
+        return found if blew_up < 0 else np.where((np.arange(N) < blew_up)[:, None, None], found, 0.0)
 
-    def _corrections(self, gain: Array | None, use: NDArray[np.bool_] | None) -> tuple[NDArray[Any], Array]:
-        """Return the flags and the gain of the observer.
-
-        The flags, shape (N, n_y), mark the samples that correct the states. In a free run no flag is set.
-        """
+    def _corrections(self, gain: Array | None, use: NDArray[np.bool_] | None) -> Corrections:
+        """Return what the observer corrects: in a free run no flag is set."""
         shape = self._measured.shape
         if gain is None:
-            return self._nowhere, np.zeros((self.structure.n_states, shape[1]))
+            none = np.zeros((self.structure.n_states, shape[1]))
+            return Corrections(self._measured, self._nowhere, none, self._resets)
         flags = np.ones(shape, dtype=np.uint8) if use is None else use.astype(np.uint8)
         flags *= np.uint8(2 if closes_loop(self.structure, gain) else 1)
-        return flags, np.ascontiguousarray(gain, dtype=float)
+        return Corrections(self._measured, flags, np.ascontiguousarray(gain, dtype=float), self._resets)
 
     def judged(self, theta: Array) -> NDArray[np.bool_]:
         """Return the samples that can be compared with the model, (n_y, N).

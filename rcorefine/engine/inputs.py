@@ -127,49 +127,47 @@ class InputSignal:
     def drive(self, structure: Structure, theta: Array) -> Drive:
         """Input nodes with the structure's dead zones, saturations and delays."""
         statics = structure.input_statics
-        drift, drifts = clock_drift(structure, theta)
+        drifts = structure.drifts
         if not statics and not drifts:
             return self._as_given
         laws = [structure.effects[index].spec for index, _ in statics]
-        moving = self._fine is None and any(isinstance(law, InputLaw) and law.moves_on for law in laws)
-        course = 2 if moving else self._as_given.course
+        moving = self._fine is None and any(getattr(law, "moves_on", False) for law in laws)
         W, Wout = np.repeat(self._base, 2 if moving else 1, axis=0), self._base_out.copy()
-        driven: list[int] = []
-        dW: list[Array] = []
-        dWout: list[Array] = []
-        channels = range(len(self.inputs)) if drifts else sorted({c for _, c in statics})
-        for channel in channels:
-            # effects of this input: static laws first, then delay and clock drift
-            here = [index for index, c in statics if c == channel]
-            samples = self.inputs[channel] if self._fine is None else self._fine[channel]
-            signal, slopes = self._statics(structure, theta, here, channel, samples)
-            delay, column = _delay(structure, theta, here)
-            signals = [signal, *slopes.values()]
-            times: list[tuple[int, Array, Array]] = []
-            # shift in time, with the derivatives by the delay and by the drift
-            if delay or drift or drifts or column >= 0 or moving:
-                at = self._shift(np.array(signals), delay, drift, moving)
-                at_nodes, at_samples, by_delay, by_drift = at
-                times = [(column, *by_delay), *((which, *by_drift) for which in drifts)]
-            else:
-                at_nodes, at_samples = self._in_time(np.array(signals))
-            W[:, channel], Wout[:, channel] = at_nodes[0], at_samples[0]
-            # derivatives of the input by the free coefficients, one array (rows, n_w) each
-            derivatives = [*zip(slopes, at_nodes[1:], at_samples[1:], strict=True), *times]
-            for which, fine, coarse in derivatives:
-                if which >= 0:
-                    driven.append(which)
-                    dW.append(_place(fine, channel, W.shape))
-                    dWout.append(_place(coarse, channel, Wout.shape))
-        shape, shape_out = (0, *W.shape), (0, *Wout.shape)
-        return Drive(
-            W,
-            course,
-            Wout,
-            np.array(dW) if dW else np.zeros(shape),
-            np.array(dWout) if dWout else np.zeros(shape_out),
-            np.array(driven, dtype=np.int64),
-        )
+        # derivatives by the free coefficients: column in theta, input, values at nodes and samples
+        slopes: list[tuple[int, int, Array, Array]] = []
+        for channel in range(len(self.inputs)) if drifts else sorted({c for _, c in statics}):
+            acting, derivatives = self._acting(structure, theta, channel, moving)
+            W[:, channel], Wout[:, channel] = acting
+            slopes += [(which, channel, fine, rough) for which, fine, rough in derivatives if which >= 0]
+        dW, dWout = np.zeros((len(slopes), *W.shape)), np.zeros((len(slopes), *Wout.shape))
+        for k, (_, channel, fine, rough) in enumerate(slopes):
+            dW[k, :, channel], dWout[k, :, channel] = fine, rough
+        driven = np.array([which for which, *_ in slopes], dtype=np.int64)
+        return Drive(W, 2 if moving else self._as_given.course, Wout, dW, dWout, driven)
+
+    def _acting(
+        self, structure: Structure, theta: Array, channel: int, moving: bool
+    ) -> tuple[tuple[Array, Array], list[tuple[int, Array, Array]]]:
+        """Return what one input does, at the nodes and at the samples.
+
+        Its derivatives follow, each with its column in theta.
+        """
+        # effects of this input: static laws first, then delay and clock drift
+        here = [index for index, c in structure.input_statics if c == channel]
+        samples = self.inputs[channel] if self._fine is None else self._fine[channel]
+        signal, slopes = self._statics(structure, theta, here, channel, samples)
+        (delay, column), (drift, drifts) = _delay(structure, theta, here), clock_drift(structure, theta)
+        signals, times = np.array([signal, *slopes.values()]), list[tuple[int, Array, Array]]()
+        # shift in time, with the derivatives by the delay and by the drift
+        if delay or drift or drifts or column >= 0 or moving:
+            at_nodes, at_samples, by_delay, by_drift = self._shift(signals, delay, drift, moving)
+            times = [(column, *by_delay), *((which, *by_drift) for which in drifts)]
+        elif self._fine is None:
+            at_nodes, at_samples = np.repeat(signals[:, :-1], self.substeps, axis=1), signals
+        else:
+            at_nodes, at_samples = signals, signals[:, :: self.substeps]
+        by_laws = zip(slopes, at_nodes[1:], at_samples[1:], strict=True)
+        return (at_nodes[0], at_samples[0]), [*by_laws, *times]
 
     def _statics(
         self, structure: Structure, theta: Array, effects: list[int], channel: int, signal: Array
@@ -208,12 +206,6 @@ class InputSignal:
             value = value[1:] - (value[0] if structure.balanced else level)
             slopes = slopes[:, 1:] - (slopes[:, :1] if structure.balanced else 0.0)
         return value, dict(zip(columns, slopes, strict=True))
-
-    def _in_time(self, signals: Array) -> tuple[Array, Array]:
-        """Signals (k, points) at the nodes and samples, where nothing delays them."""
-        if self._fine is None:
-            return np.repeat(signals[:, :-1], self.substeps, axis=1), signals
-        return signals, signals[:, :: self.substeps]
 
     def _shift(
         self, signals: Array, delay: float, drift: float, moving: bool
@@ -315,9 +307,3 @@ def clock_drift(structure: Structure, theta: Array) -> tuple[float, list[int]]:
     """
     value = sum(float(structure.value(theta, index, name)) for index, name in structure.drifts)
     return value, [structure.position(index, name) for index, name in structure.drifts]
-
-
-def _place(values: Array, channel: int, shape: tuple[int, ...]) -> Array:
-    full = np.zeros(shape)
-    full[:, channel] = values
-    return full

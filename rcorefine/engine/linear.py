@@ -282,6 +282,18 @@ def _by_each(maps: Array, signals: Array) -> Array:
     return np.moveaxis(found.reshape(*maps.shape[:2], *signals.shape[1:]), 0, -1)
 
 
+@np.errstate(all="ignore")  # overflow is detected by the callers
+def unit_responses(A: Array, C: Array, samples: int) -> Array:
+    """Return C A^k, the outputs (N, n_y, n) from unit initial states."""
+    found = np.empty((samples, *C.shape))
+    found[0], count = C, 1
+    while count < samples:  # each product doubles the number of samples
+        more = min(count, samples - count)
+        found[count : count + more] = found[:more] @ A
+        A, count = A @ A, count + more
+    return found
+
+
 @np.errstate(all="ignore")  # divergence shows in the result
 def state_power(A: Array, B: Array, W: Array) -> Array:
     """Return the mean square of each state, from rest, with inputs (N, n_w)."""

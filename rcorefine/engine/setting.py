@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..systems.discretization import exponential, power_of_two
 from ..systems.linear import Array
-from .linear import Substep
+from .linear import Substep, unit_responses
 from .march import Discretized, FieldLaw, PortLaws, SensorLaws
 from .point import field_numbers
 
@@ -51,13 +51,7 @@ class Setting:
             # transition with correction: x(k+1) = Phi (x - K C x)
             ahead = np.linalg.matrix_power(M[:, :n], substeps)
             ahead = ahead - (ahead @ gain) @ O[:, :n]
-            found = np.empty((samples, len(O), n))
-            found[0], count = O[:, :n], 1
-            while count < samples:  # each product doubles the number of samples
-                more = min(count, samples - count)
-                found[count : count + more] = found[:more] @ ahead
-                ahead, count = ahead @ ahead, count + more
-        return found
+        return unit_responses(ahead, O[:, :n], samples)
 
 
 def setting(structure: Structure, theta: Array, step: float, derivatives: bool) -> Setting:

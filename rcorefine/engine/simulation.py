@@ -25,6 +25,7 @@ from .controlled import loop_gain, own_states
 from .engine import Engine
 from .initial_state import estimate_initial_state
 from .inputs import interpolate_band_limited, straight_lines
+from .linear import recursion, unit_responses
 from .observer import leading_gain
 from .structure import Structure
 
@@ -341,46 +342,29 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
     data = resting_inputs(data, model.input_labels)
     check_channels(model, data)
     start = as_state(x0, model.n_states)
+    if start is None and not model.n_states:
+        start = np.zeros(0)
     # forced response from zero, and free responses to unit initial states, A^k
+    moves = start is None or bool(start.any())
     with np.errstate(over="ignore", invalid="ignore"):
-        states = _march_discrete(model, data.inputs, np.zeros(model.n_states))
-        unit = _powers(model, data.n_samples) if start is None or start.any() else np.zeros((0, 1, 1))
+        rest = np.zeros((model.n_states, 1))
+        driven = recursion(model.A, rest, (model.B @ data.inputs)[:, :-1, None])
+        states = np.hstack([rest, driven[:, :, 0]])
+        unit = unit_responses(model.A, np.eye(model.n_states), data.n_samples if moves else 1)
         forced = model.C @ states + model.D @ data.inputs
     if not (np.isfinite(forced).all() and np.isfinite(unit).all()):
         raise DivergenceError(f"its state leaves all bounds within {data.n_samples} samples")
-    if start is None or start.any():
-        if start is None and model.n_states == 0:
-            start = np.zeros(0)
-        if start is None:
-            # least squares: outputs are affine in the initial state
-            weights = 1.0 / np.maximum(data.outputs.std(axis=1), 1e-300)
-            slopes = np.einsum("y,yi,kij->ykj", weights, model.C, unit).reshape(-1, model.n_states)
-            error = (weights[:, None] * (forced - data.outputs)).ravel()
-            start = gauss_newton(
-                lambda x: Rows(error + slopes @ x, slopes), np.zeros(model.n_states),
-                sizes=own_sizes(np.abs(states).max(axis=1), slopes), evaluations=3, tolerance=1e-8,
-                damping=0.0,
-            ).point  # fmt: skip
+    if start is None:
+        # least squares: outputs are affine in the initial state
+        weights = 1.0 / np.maximum(data.outputs.std(axis=1), 1e-300)
+        slopes = np.einsum("y,yi,kij->ykj", weights, model.C, unit).reshape(-1, model.n_states)
+        error = (weights[:, None] * (forced - data.outputs)).ravel()
+        start = gauss_newton(
+            lambda x: Rows(error + slopes @ x, slopes), np.zeros(model.n_states),
+            sizes=own_sizes(np.abs(states).max(axis=1), slopes), evaluations=3, tolerance=1e-8, damping=0.0,
+        ).point  # fmt: skip
+    if moves:
         # superposition of both responses
         states = states + np.einsum("kij,j->ik", unit, start)
     outputs = model.C @ states + model.D @ data.inputs
     return Simulation(outputs, states, np.zeros((0, data.n_samples)), start)
-
-
-def _march_discrete(model: LinearModel, w: Array, x: Array) -> Array:
-    states = np.empty((model.n_states, w.shape[1]))
-    driven = model.B @ w
-    # x(k+1) = A x(k) + B w(k)
-    for k in range(w.shape[1]):
-        states[:, k] = x
-        x = model.A @ x + driven[:, k]
-    return states
-
-
-def _powers(model: LinearModel, n_samples: int) -> Array:
-    powers = np.empty((n_samples, model.n_states, model.n_states))
-    current = np.eye(model.n_states)
-    for k in range(n_samples):
-        powers[k] = current
-        current = model.A @ current
-    return powers

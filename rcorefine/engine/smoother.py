@@ -125,12 +125,13 @@ def smooth(
     if np.isfinite(steady.gain).all():
         steer = np.zeros((N, n)) if drive is None else drive
         F, H, K, y, steer = (np.ascontiguousarray(array) for array in (F, H, steady.gain, outputs, steer))
-        _forwards(F, H, K, y, steer, anew, predicted, filtered, innovations)
+        _forwards(F, H, K, y, steer, anew, (predicted, filtered, innovations))
     return Smoothed(F, steady, predicted, filtered, innovations, anew)
 
 
 @compiled
-def _forwards(F, H, K, y, drive, reset, predicted, filtered, innovations):  # type: ignore[no-untyped-def]
+def _forwards(F, H, K, y, drive, reset, into):  # type: ignore[no-untyped-def]
+    predicted, filtered, innovations = into
     x = np.zeros(F.shape[0])
     for k in range(y.shape[0]):
         # the state begins anew
