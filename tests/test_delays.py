@@ -123,8 +123,7 @@ def test_a_delay_gains_nothing_by_what_it_hides():
     model = ct.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"])
     data = rco.Measurement(1e-9 * rng.standard_normal(400), np.sign(rng.standard_normal(400)), dt=0.1)
     structure = Structure(model, [rco.Effect("input_delay", "u")])
-    free = {"prior_mean": np.zeros(1), "prior_sd": np.full(1, np.inf)}
-    problem = Problem(structure, [data], np.ones(1), **free)
+    problem = Problem(structure, [data], np.ones(1))
     costs = [problem.cost(problem.pack(np.array([d]), np.zeros((1, 1)))) for d in (0.0, 1.0, 10.0, 90.0)]
     np.testing.assert_allclose(costs, 200.0, rtol=1e-6)
 

@@ -326,32 +326,29 @@ def unseen_combinations(
     """
     p = theta.size
     found = []
-    for direction in uncertainty.unseen:
-        part = direction[:p]
-        if np.abs(part).max(initial=0) == 0:
+    for part in uncertainty.unseen[:, :p]:
+        if not part.any():
             continue
         largest = int(np.argmax(np.abs(part)))
         part = part / part[largest]
         terms = [f"{part[i]:+.3g} x {names[int(i)]}" for i in np.flatnonzero(np.abs(part) > 1e-3)]
-        if len(terms) == 1:
-            found.append(f"the record contains no information about {names[largest]}")
-        elif terms:
-            found.append(f"the record does not determine the combination {' '.join(terms)}, only the rest")
-    # pairs of coefficients with a correlation near one
+        found.append(
+            f"the record contains no information about {names[largest]}"
+            if len(terms) == 1
+            else f"the record does not determine the combination {' '.join(terms)}, only the rest"
+        )
+    # pairs of uncertain coefficients with a correlation near one
     C = uncertainty.covariance[:p, :p]
     sd = standard_deviations(C)
-    for i in range(p):
-        for j in range(i):
-            if settled is not None and settled[i] and settled[j]:
-                continue
-            if not (np.isfinite(sd[i]) and np.isfinite(sd[j]) and sd[i] > 0 and sd[j] > 0):
-                continue
-            rho = C[i, j] / (sd[i] * sd[j])
-            loose = abs(theta[i]) < 2 * spread[i] and abs(theta[j]) < 2 * spread[j]
-            if abs(rho) > 0.995 and loose:
-                slope = C[i, j] / C[j, j]
-                found.append(
-                    f"{names[j]} and {names[i]} cannot be distinguished (correlation {rho:+.4f}): the record "
-                    f"determines {names[i]} {'-' if slope > 0 else '+'} {abs(slope):.3g} x {names[j]}"
-                )
+    loose = np.isfinite(sd) & (sd > 0) & (np.abs(theta) < 2 * spread)
+    held = np.zeros(p, dtype=bool) if settled is None else settled[:p]
+    for i, j in np.argwhere(np.tri(p, k=-1)).tolist():
+        if not (loose[i] and loose[j]) or (held[i] and held[j]):
+            continue
+        rho, slope = C[i, j] / (sd[i] * sd[j]), C[i, j] / C[j, j]
+        if abs(rho) > 0.995:
+            found.append(
+                f"{names[j]} and {names[i]} cannot be distinguished (correlation {rho:+.4f}): the record "
+                f"determines {names[i]} {'-' if slope > 0 else '+'} {abs(slope):.3g} x {names[j]}"
+            )
     return found

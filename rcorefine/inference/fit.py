@@ -40,7 +40,7 @@ class Fit:
         self.initial = None if initial is None else _pad_state(initial, structure.n_states)
         # table of parameters with their priors; weights of the outputs, one over the noise level
         self.table = parameter_table(structure, roles, tolerance)
-        self.mean, self.sd = priors(self.table)
+        self.priors = priors(self.table)._replace(added=True)
         self.weights = output_weights(segments, noise)
         self.steps = 1
         self.problem: Problem
@@ -59,11 +59,9 @@ class Fit:
             self.structure,
             segments,
             self.weights,
-            prior_mean=self.mean,
-            prior_sd=self.sd,
+            priors=self.priors,
             substeps=steps,
             initial=None if unknown_start else self.initial,
-            hold_added=True,
         )
 
     def run(
@@ -133,7 +131,7 @@ class Fit:
         self.weights = output_weights(self.segments, None, self.problem, self.result.point)
         self.problem = self.build(self.segments, self.steps)
         # new weights move the minimum only with several outputs, or against priors
-        if self.weights.size > 1 or np.isfinite(self.sd[~weak_priors(self.table)]).any():
+        if self.weights.size > 1 or np.isfinite(self.problem.prior_sd[~weak_priors(self.table)]).any():
             self._polish(self.result.point, _ROUGHLY)
 
     @property

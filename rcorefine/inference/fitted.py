@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -181,8 +181,8 @@ class FittedModel:
         widths.update(old.constants)
         structure = Structure(old.physical_model, base.effects, constants=widths)
         roles = [*old.roles, *("effect" for _ in effects)]
-        mean, sd = priors(parameter_table(structure, roles, self.tolerance))
-        problem = self.problem.like(structure, prior_mean=mean, prior_sd=sd, substeps=old.substeps)
+        held = priors(parameter_table(structure, roles, self.tolerance))
+        problem = self.problem.like(structure, priors=held, substeps=old.substeps)
         theta, starts = self.problem.unpack(self.point)
         # added effects are absent, their states zero
         full = np.concatenate([theta, structure.start()[theta.size :]])
@@ -238,14 +238,14 @@ def fitted_from(
     """
     structure, theta, steps = refinement.simulation_structure()
     records = [ordered_record(refinement.physical_model, r) for r in data]
-    mean, sd = priors(parameter_table(structure, refinement.roles, tolerance))
     shape = refinement.rmse.shape
-    given: dict[str, Any] = {"prior_mean": mean, "prior_sd": sd, "substeps": steps}
+    held = priors(parameter_table(structure, refinement.roles, tolerance))
+    made = partial(Problem, structure, records, priors=held, substeps=steps)
     # noise level: declared, of the measured points, or that of the residual
     if noise is not None:
         level = np.broadcast_to(np.asarray(noise, float), shape)
     elif not records[0].in_time:  # in units of the noise of the points
-        plain = Problem(structure, records, np.ones(shape), **given)
+        plain = made(np.ones(shape))
         level = 1.0 / output_weights(records, None, plain, plain.pack(theta, refinement.initial_states))
     else:
         level = refinement.rmse
@@ -253,5 +253,5 @@ def fitted_from(
     spread = np.concatenate([r.outputs for r in records], axis=1).std(axis=1)
     weights = 1.0 / np.maximum(level, 1e-12 * np.where(spread > 0, spread, 1.0))
     # weights are one over the noise level
-    problem = Problem(structure, records, weights, **given)
+    problem = made(weights)
     return FittedModel(refinement, problem, problem.pack(theta, refinement.initial_states), tolerance)

@@ -13,6 +13,7 @@ from ..engine.structure import Structure
 from ..models.parameters import natural_size
 from ..results import Row, estimate
 from ..systems.linear import Array
+from .problem import Priors
 
 _LOOSE = 30.0  # relative prior standard deviation of a free linear parameter
 _CHANGE = 1.0  # relative prior standard deviation of a change: of equally good ones the smaller is preferred
@@ -147,14 +148,11 @@ def estimated(
     )
 
 
-def priors(table: Sequence[EstimatedParameter]) -> tuple[Array, Array]:
-    """Return the prior mean and standard deviation of every coefficient.
-
-    The standard deviation is inf where there is no prior.
-    """
+def priors(table: Sequence[EstimatedParameter]) -> Priors:
+    """Return the prior mean and standard deviation of every coefficient."""
     # priors of the coefficient: value less nominal value
     rows = np.array([(row.expected - row.initial, row.prior) for row in table]).reshape(-1, 2)
-    return rows[:, 0], rows[:, 1]
+    return Priors(rows[:, 0], rows[:, 1])
 
 
 def weak_priors(table: Sequence[EstimatedParameter]) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,22 @@ _ROUNDING = 1e-22  # share of the level below which a cost is rounding
 _FAILED = 1e8  # residual of a simulation that diverged: large, but finite
 
 
+class Priors(NamedTuple):
+    """Normal priors of coefficients and initial states.
+
+    Attributes
+    ----------
+    mean, sd : ndarray, shape (p,), or None
+        Of the coefficients; sd = inf for none. None where no coefficient has one.
+    added : bool
+        Whether states that effects add start about as large as they become (`added_states`).
+    """
+
+    mean: Array | None = None
+    sd: Array | None = None
+    added: bool = False
+
+
 class Problem:
     """Output errors or innovations of a structure on several records.
 
@@ -108,8 +124,8 @@ class Problem:
         Segments; each has an initial state of its own.
     weights : ndarray, shape (n_y,)
         One over the noise level of each output.
-    prior_mean, prior_sd : ndarray, shape (p,)
-        Gaussian prior of the coefficients; sd = inf for none.
+    priors : Priors
+        Of coefficients, and of states that effects add; none by default.
     substeps : int
         Substeps per sampling interval.
     initial : ndarray of shape (n,), or None
@@ -117,8 +133,6 @@ class Problem:
     hold_brief : bool
         Whether brief modes start as they move (`brief_modes`), to a prior in units of the noise: not where
         the weights are no noise levels.
-    hold_added : bool
-        Whether states that effects add start about as large as they become (`added_states`).
 
     Attributes
     ----------
@@ -132,12 +146,10 @@ class Problem:
         records: Sequence[Measurement] | Sequence[ResponseRecord],
         weights: Array,
         *,
-        prior_mean: Array | None = None,
-        prior_sd: Array | None = None,
+        priors: Priors = Priors(),  # noqa: B008
         substeps: int = 1,
         initial: Array | None = None,
         hold_brief: bool = True,
-        hold_added: bool = False,
     ) -> None:
         self.structure, self.weights = structure, weights
         self.coordinates = Coordinates(structure)
@@ -146,8 +158,9 @@ class Problem:
         if not self.in_time:  # a response has no start
             initial = np.zeros(structure.n_states)
         p = structure.n_parameters
-        self.prior_mean: Array = np.zeros(p) if prior_mean is None else prior_mean
-        self.prior_sd: Array = np.full(p, np.inf) if prior_sd is None else prior_sd
+        self.priors, self.hold_brief = priors, hold_brief
+        self.prior_mean: Array = np.zeros(p) if priors.mean is None else priors.mean
+        self.prior_sd: Array = np.full(p, np.inf) if priors.sd is None else priors.sd
         self.initial, self.substeps = initial, substeps
         # one simulation engine for each record
         self.engines: list[Any] = [
@@ -155,7 +168,6 @@ class Problem:
         ]
         self.n_theta, self.n_states = p, structure.n_states
         self.free_start = initial is None
-        self.hold_brief, self.hold_added = hold_brief, hold_added
         self._cache: tuple[Array, Array | None, Evaluation] | None = None
         self.n_points = sum(record.outputs.size for record in self.records)
 
@@ -164,8 +176,7 @@ class Problem:
     ) -> Problem:
         """Return a copy with another structure, other records or arguments."""
         structure = structure or self.structure
-        names = ("weights", "prior_mean", "prior_sd", "substeps", "hold_brief", "hold_added")
-        given = {name: getattr(self, name) for name in names}
+        given = {name: getattr(self, name) for name in ("weights", "priors", "substeps", "hold_brief")}
         if self.initial is not None:
             given["initial"] = np.pad(self.initial, (0, structure.n_states - self.initial.size))
         return Problem(structure, records or self.records, **{**given, **changes})
@@ -293,7 +304,7 @@ class Problem:
         if self.free_start:
             none = np.zeros((0, self.n_states))
             starts = [brief_modes(engine) if self.hold_brief else none for engine in self.engines]
-            if self.hold_added and self.n_states > self.structure.linear_model.n_states:
+            if self.priors.added and self.n_states > self.structure.linear_model.n_states:
                 theta = self.inside(np.pad(self.structure.start(), (0, self.size - self.n_theta)))
                 added = [added_states(engine, theta[: self.n_theta]) for engine in self.engines]
                 starts = [np.vstack(pair) for pair in zip(starts, added, strict=True)]

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..effects.effect import Effect, unit_forces
+from ..effects.law import Law
 from ..engine.amplitude_response import ResponseEngine, engine_on
 from ..engine.controlled import sample_jumps
 from ..engine.engine import Engine
@@ -87,73 +88,76 @@ def candidate_columns(
     list of Candidate
     """
     found = [Candidate(effect, {}, fitted, motion) for effect in effects]
-    riders: list[int] = []
-    laws: list[tuple[int, list[dict[str, float]]]] = []
     # three kinds: a simulation of its own, parameters in one simulation, force laws along the motion
-    for i, candidate in enumerate(found):
-        law = candidate.effect.spec
-        # effects on nonlinear models and at channels need a simulation of their own
-        if (
-            not fitted.problem.in_time
-            or law.secant
-            or law.at_channel
-            or ("acceleration" in law.senses and not law.linear)
-            or (fitted.structure.field is not None and not law.is_parameter)
-        ):
-            for ratio in ratios:
-                candidate.columns[ratio] = _own_columns(candidate, ratio)
-        elif law.is_parameter:  # parameters share one simulation
-            riders.append(i)
+    alone: list[Candidate] = []
+    riders: list[Candidate] = []
+    laws: list[tuple[Candidate, list[dict[str, float]]]] = []
+    for each in found:
+        if _runs_alone(fitted, each.effect.spec):
+            alone.append(each)
+        elif each.effect.spec.is_parameter:
+            riders.append(each)
         else:
-            laws.append((i, _shapes(candidate)))
-    # one simulation carries the derivatives by all parameters
-    if riders:
-        for ratio in ratios:
-            blocks = parameter_columns(fitted, [found[i].effect for i in riders], motion, ratio)
-            for j, i in enumerate(riders):
-                found[i].columns[ratio] = [block[:, :, j : j + 1] for block in blocks]
-    # forces of all laws go through the linearized model together
+            laws.append((each, _shapes(each)))
     for ratio in ratios:
-        _law_columns(fitted, found, laws, ratio)
-    for candidate in found:
-        for ratio, blocks in candidate.columns.items():  # diverging columns become zero
-            largest = np.max([np.abs(block).max(axis=(0, 1)) for block in blocks], axis=0)
-            candidate.columns[ratio] = [np.where(largest < _DIVERGED, block, 0.0) for block in blocks]
+        for each in alone:
+            each.columns[ratio] = _own_columns(each, ratio)
+        # one simulation carries the derivatives by all parameters
+        blocks = parameter_columns(fitted, [each.effect for each in riders], motion, ratio) if riders else []
+        for j, each in enumerate(riders):
+            each.columns[ratio] = [block[:, :, j : j + 1] for block in blocks]
+        # forces of all laws go through the linearized model together
+        _law_columns(fitted, laws, ratio)
+    for each in found:
+        each.columns = {ratio: _bounded(blocks) for ratio, blocks in each.columns.items()}
     return found
 
 
+def _bounded(blocks: list[Array]) -> list[Array]:
+    """Set columns that diverge in one of the records to zero."""
+    largest = np.max([np.abs(block).max(axis=(0, 1)) for block in blocks], axis=0)
+    return [np.where(largest < _DIVERGED, block, 0.0) for block in blocks]
+
+
+def _runs_alone(fitted: FittedModel, law: Law) -> bool:
+    """Return whether an effect needs a simulation of its own.
+
+    Effects at channels and on nonlinear models do.
+    """
+    if not fitted.problem.in_time or law.secant or law.at_channel:
+        return True
+    filling = "acceleration" in law.senses and not law.linear
+    return filling or (fitted.structure.field is not None and not law.is_parameter)
+
+
 def _law_columns(
-    fitted: FittedModel, found: list[Candidate], laws: list[tuple[int, list[dict[str, float]]]], ratio: float
+    fitted: FittedModel, laws: list[tuple[Candidate, list[dict[str, float]]]], ratio: float
 ) -> None:
     """Compute the columns of nonlinear effects at places.
 
     They are the outputs that the forces of the effects along the motion would add.
     """
     gain = fitted.gain(ratio)
-    parts: dict[int, list[Array]] = {i: [] for i, _ in laws}
-    for record in range(len(fitted.problem.records)):
+    for record, data in enumerate(fitted.problem.records):
         forces: list[tuple[str, Array]] = []
-        owners: list[int] = []
-        for i, shapes in laws:
-            effect = found[i].effect
+        owners: list[Candidate] = []
+        for candidate, shapes in laws:
             # force of a unit coefficient in each shape, along the motion
+            effect = candidate.effect
             d, v = fitted.port(effect.place, ratio, record)
-            w, rest = fitted.problem.records[record].inputs, resting(fitted.structure, effect.place)
-            columns = unit_forces(effect, d, v, shapes, w, rest)
+            columns = unit_forces(effect, d, v, shapes, data.inputs, resting(fitted.structure, effect.place))
             if columns is None:
-                found[i].columns[ratio] = _own_columns(found[i], ratio)
+                candidate.columns[ratio] = _own_columns(candidate, ratio)
                 continue
             forces += [(effect.place, column) for column in columns]
-            owners += [i] * len(columns)
+            owners += [candidate] * len(columns)
         if not forces:
             continue
         # outputs that these forces add, (n_y, N, k)
         out = force_responses(fitted, record, forces, gain)
-        for i in dict.fromkeys(owners):
-            parts[i].append(out[:, :, np.array(owners) == i])
-    for i, blocks in parts.items():
-        if blocks:
-            found[i].columns[ratio] = blocks
+        for candidate in dict.fromkeys(owners):
+            mine = np.array([owner is candidate for owner in owners])
+            candidate.columns.setdefault(ratio, []).append(out[:, :, mine])
 
 
 def _shapes(candidate: Candidate) -> list[dict[str, float]]:

@@ -81,33 +81,42 @@ def candidate_effects(physical: PhysicalModel, given: Sequence[Any] | None, rule
 
     With the rule "links", every damper is a candidate, too.
     """
-    # given: names of places mean their stiffness
-    if given is not None:
-        entries = (
-            [given] if isinstance(given, str | Effect) else as_list(given, "candidates", "effects or places")
-        )
-        effects = [Effect(Stiffness.name, e) if isinstance(e, str) else e for e in entries]
-        for effect in effects:
-            if not isinstance(effect, Effect) or not effect.spec.is_element:
-                raise ct.ControlArgument(
-                    f"candidates are stiffness, damping or mass effects or places, not {effect!r}; "
-                    "other kinds belong to hypotheses="
-                )
-            physical.check(effect)
-        if len(set(effects)) < len(effects):
-            raise ct.ControlArgument("candidates holds an effect twice; give each once")
-    else:
-        # by default every spring, and with the rule "links" every damper or, without any, one at each spring
-        springs = [q.place for q in physical.parameters if q.kind == Stiffness.name and q.value != 0]
-        effects = [Effect(Stiffness.name, place) for place in springs]
-        if rule == "links":
-            dampers = [q.place for q in physical.parameters if q.kind == Damping.name and q.value != 0]
-            effects += [Effect(Damping.name, place) for place in dampers or springs]
+    effects = _model_elements(physical, rule) if given is None else _given_elements(physical, given)
     if not effects:
         raise ModelError(
             f"model {physical.name!r} has no stiffness at any link: use a builder such as "
             "mass_spring_damper, states in displacements and velocities, or candidates="
         )
+    return effects
+
+
+def _model_elements(physical: PhysicalModel, rule: str) -> list[Effect]:
+    """Return every spring, and with the rule "links" every damper.
+
+    Without any damper there is one at each spring.
+    """
+    springs, dampers = (
+        [q.place for q in physical.parameters if q.kind == kind and q.value != 0]
+        for kind in (Stiffness.name, Damping.name)
+    )
+    damped = (dampers or springs) if rule == "links" else []
+    return [Effect(Stiffness.name, p) for p in springs] + [Effect(Damping.name, p) for p in damped]
+
+
+def _given_elements(physical: PhysicalModel, given: Any) -> list[Effect]:
+    """Check candidates; the name of a place means its stiffness."""
+    single = isinstance(given, str | Effect)
+    entries = [given] if single else as_list(given, "candidates", "effects or places")
+    effects = [Effect(Stiffness.name, entry) if isinstance(entry, str) else entry for entry in entries]
+    for effect in effects:
+        if not isinstance(effect, Effect) or not effect.spec.is_element:
+            raise ct.ControlArgument(
+                f"candidates are stiffness, damping or mass effects or places, not {effect!r}; "
+                "other kinds belong to hypotheses="
+            )
+        physical.check(effect)
+    if len(set(effects)) < len(effects):
+        raise ct.ControlArgument("candidates holds an effect twice; give each once")
     return effects
 
 
@@ -123,22 +132,12 @@ def as_candidates(
     # one column of the problem each; changes count relative to the nominal value
     found = []
     for index, effect in enumerate(effects):
-        column = structure.position(index, effect.coefficients[0])
+        key, column = (effect.kind, effect.place), structure.position(index, effect.coefficients[0])
         if column < 0:
             raise ModelError(f"{effect.label} is fixed, so it cannot be a candidate")
-        size = nominal.get((effect.kind, effect.place), 0.0)
-        found.append(
-            DamageCandidate(
-                column,
-                effect.kind,
-                effect.place,
-                names.get((effect.kind, effect.place), effect.label),
-                size,
-                structure.unit(structure.parameters[column]),
-                tolerance * abs(size),
-                least / 100.0 * abs(size),
-            )
-        )
+        size, unit = nominal.get(key, 0.0), structure.unit(structure.parameters[column])
+        limits = tolerance * abs(size), least / 100.0 * abs(size)
+        found.append(DamageCandidate(column, *key, names.get(key, effect.label), size, unit, *limits))
     return found
 
 
@@ -250,8 +249,8 @@ def rank_hypotheses(setting: SharedSetting, hypotheses: Any) -> tuple[Hypothesis
     """
     scenarios = named_hypotheses(hypotheses)
     # what a scenario blames is no nuisance, or "no damage" would explain it as well
-    blamed = {(e.kind, e.place) for effects in scenarios.values() for e in effects}
-    rest = tuple((e, role) for e, role in setting.nuisances if (e.kind, e.place) not in blamed)
+    blamed = {e.key for effects in scenarios.values() for e in effects}
+    rest = tuple((e, role) for e, role in setting.nuisances if e.key not in blamed)
     setting = replace(setting, nuisances=rest)
     # each scenario is fitted with the same nuisances
     rows = [_fit_scenario(setting, name, effects) for name, effects in scenarios.items()]

@@ -274,13 +274,11 @@ def _collinear_groups(
     for value, vector in zip(values, vectors.T, strict=True):
         if value >= levels().collinear:
             break
-        members = [int(seen[k]) for k in np.flatnonzero(np.abs(vector) > _MEMBER * np.abs(vector).max())]
-        members = [i for i in members if blurred[i]]
-        if len(members) < 2:
+        members = seen[(np.abs(vector) > _MEMBER * np.abs(vector).max()) & blurred[seen]]
+        if members.size < 2:
             continue
         # join groups that share a member
-        target = min(owner[i] for i in members)
         merged = {owner[i] for i in members}
-        owner = [target if group in merged else group for group in owner]
-    groups = [tuple(i for i in range(where.size) if owner[i] == k) for k in sorted(set(owner))]
+        owner = [min(merged) if group in merged else group for group in owner]
+    groups = [tuple(i for i, group in enumerate(owner) if group == k) for k in sorted(set(owner))]
     return tuple(group for group in groups if len(group) > 1)

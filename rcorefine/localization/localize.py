@@ -412,7 +412,7 @@ def residual_tests(joint: Joint) -> tuple[FTest, ...]:
     structure = Structure(physical, effects, constants=joint.structure.constants)
     old, role = joint.problem, ("effect",) * len(effects)
     mean, sd = old.prior_mean[: theta.size], old.prior_sd[: theta.size]
-    problem = old.like(structure, prior_mean=mean, prior_sd=sd, hold_brief=True)
+    problem = old.like(structure, priors=old.priors._replace(mean=mean, sd=sd), hold_brief=True)
     held = _Held(physical, effects, dict(structure.constants), role, old.substeps)
     starts = joint.problem.unpack(joint.point)[1]
     # project out all parameters, then test against the library of effects

@@ -30,6 +30,8 @@ from ..models.operating_point import ordered_record, start_above
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array
 
+_Roles = list[tuple[Effect, str]]
+
 
 def refine(
     model: Any,
@@ -228,41 +230,49 @@ def refit(
     records = [ordered_record(physical, r) for r in as_data(data)]
     segments, note = windows(physical, records, horizon)
     # smoothing widths of the laws stay as they are
-    widths = {(e.kind, e.place): model.constants.get(i) for i, (e, _) in enumerate(kept)}
+    widths = {e.key: model.constants[i] for i, (e, _) in enumerate(kept) if i in model.constants}
     if without is not None:
-        kept = [(e, role) for e, role in kept if (e.kind, e.place) != (without.kind, without.place)]
+        kept = [(e, role) for e, role in kept if e.key != without.key]
     if offsets is not None:
-        kept = [(e, role) for e, role in kept if role != "offset"] + [(e, "offset") for e in offsets]
+        kept = _with_offsets(kept, offsets)
+    others = _other_offsets(kept, physical, records[0], offset) if elsewhere else []
     best: Fit | None = None
-    for chosen in [kept, *(_other_offsets(kept, physical, records[0], offset) if elsewhere else [])]:
-        effects = [e for e, _ in chosen]
-        known = {i: w for i, e in enumerate(effects) if (w := widths.get((e.kind, e.place))) is not None}
-        structure = Structure(physical, effects, constants=known)
+    states = model.initial_states
+    for chosen in (kept, *others):
+        structure = _with_widths(physical, chosen, widths)
         if best is not None and structure.is_linear:
             break  # behind a linear model all offsets are the same
         # local fit from the present values
         fit = Fit(structure, [role for _, role in chosen], segments, noise, None, tolerance)
-        states = model.initial_states if best is None else best.problem.unpack(best.result.point)[1]
         fit.resume(model.substeps, states)
-        if best is None or fit.cost < best.cost:
-            best = fit
+        best = min(filter(None, (best, fit)), key=lambda each: each.cost)
+        states = best.problem.unpack(best.result.point)[1]
     assert best is not None
     return package(best, physical, note)
 
 
-def _other_offsets(
-    kept: list[tuple[Effect, str]], physical: PhysicalModel, record: Measurement, offset: bool
-) -> list[list[tuple[Effect, str]]]:
+def _with_widths(physical: PhysicalModel, chosen: _Roles, widths: dict[str, float]) -> Structure:
+    """Return the structure of effects whose laws keep their widths."""
+    effects = [e for e, _ in chosen]
+    known = {i: widths[e.key] for i, e in enumerate(effects) if e.key in widths}
+    return Structure(physical, effects, constants=known)
+
+
+def _other_offsets(kept: _Roles, physical: PhysicalModel, record: Measurement, offset: bool) -> list[_Roles]:
     """Return the effects with the constant offset at another place."""
-    mine = {(e.kind, e.place) for e, role in kept if role == "offset"}
-    rest = [(e, role) for e, role in kept if role != "offset"]
+    mine = {e.key for e, role in kept if role == "offset"}
     found = []
     for offsets in offset_variants(physical, record, offset):
         # another place with as many offsets
-        places = {(e.kind, e.place) for e in offsets}
+        places = {e.key for e in offsets}
         if mine and places != mine and len(places) == len(mine):
-            found.append(rest + [(e, "offset") for e in offsets])
+            found.append(_with_offsets(kept, offsets))
     return found
+
+
+def _with_offsets(kept: _Roles, offsets: Sequence[Effect]) -> _Roles:
+    """Return the effects with these constant offsets in place of their own."""
+    return [(e, role) for e, role in kept if role != "offset"] + [(e, "offset") for e in offsets]
 
 
 def base_fit(
