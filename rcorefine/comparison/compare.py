@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, overload
+from typing import Any, NamedTuple, overload
 
 import control as ct
 import numpy as np
@@ -127,6 +127,26 @@ def compare(
     return compare_responses(models, named, data, several=several)
 
 
+class _Entrant(NamedTuple):
+    """A model of the comparison, and its channels in the record."""
+
+    model: Any
+    linear: LinearModel
+    name: str
+    channels: Channels
+    hold: str
+
+
+class _Course(NamedTuple):
+    """The record in windows, over which every model runs."""
+
+    data: Measurement
+    outputs: list[int]  #: outputs of the record that are compared
+    x0: Any
+    windows: list[slice]
+    hidden: int = 0  #: first samples that a delay hides from one of the models
+
+
 def _on_record(
     models: Sequence[Any],
     linear: Sequence[LinearModel],
@@ -138,96 +158,112 @@ def _on_record(
 ) -> Comparison:
     """The models run freely on one record."""
     # models in a loop read their controller's signals from the record
-    known = [model for model in map(known_physical, models) if model is not None]
+    known = list(filter(None, map(known_physical, models)))
     looped = [model for model in known if model.controller is not None]
-    data = given = completed(looped[0], data) if looped else data
+    given = completed(looped[0], data) if looped else data
     # a free decay without inputs: those of the model are zero
-    data = resting_inputs(data, list(dict.fromkeys(label for each in linear for label in each.input_labels)))
-    # channels by label, otherwise by position
-    channels = [match_channels(each, data) for each in linear]
-    holds = [getattr(known_physical(each), "hold", None) or data.hold for each in models]
-    # compare the outputs that all models have
-    outputs = [i for i in range(data.n_outputs) if all(i in each.outputs for each in channels)]
-    if not outputs:
-        raise ct.ControlDimension("the models have no output of the record in common; compare them alone")
-    notes = [note for each in channels for note in each.notes]
-    # for a refinement this includes its initial model, by which `refine` decided whether it integrates
-    runs_as = [as_it_runs(model, data) for model in looped] or [*linear, *(model.linear for model in known)]
-    # divide the record where a model cannot run over all of it
-    estimated = isinstance(x0, str) and x0 == "estimate"
-    windows, note = _windows(runs_as, data, horizon, estimated, len(outputs))
-    notes += [note] if note else []
-    notes += [
-        f"{name!r} uses hold={hold!r}, as it was fitted; the record declares {data.hold!r}"
-        for name, hold in zip(names, holds, strict=True)
-        if hold != data.hold
-    ]
+    data = resting_inputs(given, list(dict.fromkeys(label for each in linear for label in each.input_labels)))
+    entrants = _enter(models, linear, names, data)
+    course, notes = _lay_out(entrants, known, data, x0, horizon)
     # inputs that do not vary cannot show the dynamics
     given.check_excitation("compare")
-    if horizon is not None:
-        data = data._changed(FreeRun)
-    hidden = 0  # first samples that a delay hides from one of the models
     # a delay makes the first outputs depend on inputs before the record
-    if estimated:
-        seen = [record_for(data, where) for where in channels]
-        hidden = min(max(map(unjudged_samples, models, seen)), windows[0].stop // 2)
-    made = []
-    for each, flat, places, name in zip(models, linear, channels, names, strict=True):
-        # simulate each model, with the initial state of each window
-        run, start, motion = _simulate(each, flat, places, data, x0, windows, hidden, name, outputs)
-        notes += _beyond_tables(each, name, motion, record_for(data, places).inputs[:, hidden:])
-        made.append((run, start, motion))
-    runs, starts, states = zip(*made, strict=True)
-    # leave these samples out of the comparison
-    if hidden:
+    if as_state(x0) is None:
+        seen = [record_for(course.data, each.channels) for each in entrants]
+        hidden = max(map(unjudged_samples, models, seen))
+        course = course._replace(hidden=min(hidden, course.windows[0].stop // 2))
+    # simulate each model, with the initial state of each window
+    runs, initial, states = zip(*(_simulate(each, course) for each in entrants), strict=True)
+    for each, motion in zip(entrants, states, strict=True):
+        notes += _beyond_tables(each, motion, course)
+    if course.hidden:
         notes.append(
-            f"the first {hidden} sample(s) are not compared: because of a delay in the model they depend on "
-            "values before the record"
+            f"the first {course.hidden} sample(s) are not compared: because of a delay in the model they "
+            "depend on values before the record"
         )
-        data = data.segment(float(data.timepts[hidden]))
-    # models with the channels in the order of the record
-    straight = tuple(
-        aligned(each, places, data, outputs).with_arrays(name=name)
-        for each, places, name in zip(linear, channels, names, strict=True)
-    )
     return Comparison(
-        names=tuple(names),
-        models=straight,
-        data=with_outputs(data, outputs),
+        **_as_compared(entrants, course),
         runs=np.array(runs),
         states=states,
-        places=tuple(
-            given_places(each, flat, where, data.n_inputs, outputs)
-            for each, flat, where in zip(models, straight, channels, strict=True)
-        ),
-        initial_states=starts,
-        starts=tuple(max(0, int(window.start) - hidden) for window in windows),
-        horizon=None if horizon is None else float(horizon),
+        initial_states=initial,
+        horizon=horizon,
         x0=x0 if isinstance(x0, str) else "given",
-        holds=tuple(holds),
         notes=tuple(dict.fromkeys(notes)),
         several=several,
         looped=bool(looped),
-        led=len(windows) == 1 and not looped and _follows_record(known, linear, data),
+        led=len(course.windows) == 1 and not looped and _follows_record(known, linear, data),
     )
 
 
-def _windows(
-    models: Sequence[LinearModel], data: Measurement, horizon: float | None, estimated: bool, n_outputs: int
-) -> tuple[list[slice], str]:
-    """Return windows that cover the record, and the reason for them.
+def _enter(
+    models: Sequence[Any], linear: Sequence[LinearModel], names: Sequence[str], data: Measurement
+) -> list[_Entrant]:
+    """Find the channels of each model by label, otherwise by position."""
+    channels = [match_channels(each, data) for each in linear]
+    holds = [getattr(known_physical(each), "hold", None) or data.hold for each in models]
+    return list(map(_Entrant, models, linear, names, channels, holds))
 
-    Each window is long enough to estimate a state in it.
-    """
-    (windows,), note = free_runs(models, [data], horizon, known_start=not estimated)
+
+def _lay_out(
+    entrants: Sequence[_Entrant],
+    known: Sequence[PhysicalModel],
+    data: Measurement,
+    x0: Any,
+    horizon: float | None,
+) -> tuple[_Course, list[str]]:
+    """Return the outputs and windows in which all models run, and notes."""
+    # compare the outputs that all models have
+    common = set.intersection(*(set(each.channels.outputs) for each in entrants))
+    outputs = sorted(common - {-1})
+    if not outputs:
+        raise ct.ControlDimension("the models have no output of the record in common; compare them alone")
+    looped = [as_it_runs(model, data) for model in known if model.controller is not None]
+    # for a refinement this includes its initial model, by which `refine` decided whether it integrates
+    runs_as = looped or [*(each.linear for each in entrants), *(model.linear for model in known)]
+    # divide the record where a model cannot run over all of it
+    (windows,), note = free_runs(runs_as, [data], horizon, known_start=as_state(x0) is not None)
     # a window must determine its initial states and leave samples to judge by
-    n_states = max(each.n_states for each in models)
-    if estimated and data.n_samples * n_outputs <= n_states:
+    n_states = max(each.n_states for each in runs_as)
+    if as_state(x0) is None and data.n_samples * len(outputs) <= n_states:
         raise DataError(
-            f"the record holds {data.n_samples} samples of {n_outputs} output(s), too few to estimate "
+            f"the record holds {data.n_samples} samples of {len(outputs)} output(s), too few to estimate "
             f"{n_states} initial states from and to judge by; give a longer one, or x0='zero'"
         )
-    return windows, note
+    course = _Course(data if horizon is None else data._changed(FreeRun), outputs, x0, windows)
+    return course, _notes(entrants, data, note)
+
+
+def _notes(entrants: Sequence[_Entrant], data: Measurement, note: str) -> list[str]:
+    """Return notes on channels, on windows, and on holds of the models."""
+    notes = [note for each in entrants for note in each.channels.notes] + [note] * bool(note)
+    return notes + [
+        f"{each.name!r} uses hold={each.hold!r}, as it was fitted; the record declares {data.hold!r}"
+        for each in entrants
+        if each.hold != data.hold
+    ]
+
+
+def _as_compared(entrants: Sequence[_Entrant], course: _Course) -> dict[str, Any]:
+    """Return fields of the comparison: models with the channels of the record."""
+    data, outputs = course.data, course.outputs
+    # leave out the samples that a delay hides
+    if course.hidden:
+        data = data.segment(float(data.timepts[course.hidden]))
+    straight = tuple(
+        aligned(each.linear, each.channels, data, outputs).with_arrays(name=each.name) for each in entrants
+    )
+    places = tuple(
+        given_places(each.model, flat, each.channels, data.n_inputs, outputs)
+        for each, flat in zip(entrants, straight, strict=True)
+    )
+    return {
+        "names": tuple(each.name for each in entrants),
+        "models": straight,
+        "data": with_outputs(data, outputs),
+        "places": places,
+        "holds": tuple(each.hold for each in entrants),
+        "starts": tuple(max(0, int(window.start) - course.hidden) for window in course.windows),
+    }
 
 
 def _follows_record(known: Sequence[PhysicalModel], linear: Sequence[LinearModel], data: Measurement) -> bool:
@@ -239,42 +275,20 @@ def _follows_record(known: Sequence[PhysicalModel], linear: Sequence[LinearModel
     )
 
 
-def _simulate(
-    model: Any,
-    linear: LinearModel,
-    channels: Channels,
-    data: Measurement,
-    x0: Any,
-    windows: list[slice],
-    hidden: int,
-    name: str,
-    outputs: Sequence[int],
-) -> tuple[Array, Array, Array]:
+def _simulate(entrant: _Entrant, course: _Course) -> tuple[Array, Array, Array]:
     """Return simulated outputs, the initial state per window, and states.
 
-    The outputs are the compared ones, in the record's order. Each window begins `hidden` samples early, and
-    these are left out.
+    The outputs are the compared ones, in the record's order. Each window begins early by the samples that a
+    delay hides, and these are left out.
     """
-    record = record_for(data, channels)
-    # outputs that are measured; a plain state-space model may have others
-    rows = [i for i, place in enumerate(channels.outputs) if place >= 0]
-    if len(rows) < len(channels.outputs):
-        if model is not getattr(model, "system", model):
-            unmeasured = ", ".join(linear.output_labels[i] for i, p in enumerate(channels.outputs) if p < 0)
-            raise ct.ControlDimension(
-                f"{name!r} has outputs that the record does not hold ({unmeasured}); only a plain "
-                "StateSpace can be compared on part of its outputs: measure them, build the model without "
-                "them, or pass .system"
-            )
-        model = linear.with_arrays(
-            C=linear.C[rows], D=linear.D[rows], output_labels=tuple(linear.output_labels[i] for i in rows)
-        ).to_statespace()
+    data, x0, windows, hidden = course.data, course.x0, course.windows, course.hidden
+    record, n_states = record_for(data, entrant.channels), entrant.linear.n_states
+    model = _on_measured_outputs(entrant)
     # outputs in the order of the record
-    order = [[place for place in channels.outputs if place >= 0].index(place) for place in outputs]
-    start = x0 if isinstance(x0, str) else np.asarray(x0, dtype=float)
-    run = np.empty((len(outputs), data.n_samples))
-    states = np.empty((len(windows), linear.n_states))
-    motion = np.empty((linear.n_states, data.n_samples))
+    measured = [place for place in entrant.channels.outputs if place >= 0]
+    order = [measured.index(place) for place in course.outputs]
+    run = np.empty((len(order), data.n_samples))
+    states, motion = np.empty((len(windows), n_states)), np.empty((n_states, data.n_samples))
     # each window begins with an initial state of its own
     for index, window in enumerate(windows):
         early = min(hidden, window.start)
@@ -283,45 +297,72 @@ def _simulate(
             after = record.timepts[window.stop] if window.stop < record.n_samples else None
             part = record.segment(record.timepts[window.start - early], after)
         try:
-            simulation = simulated(model, part, start, led=True)
+            simulation = simulated(model, part, x0, led=True)
         except DivergenceError as error:
-            raise DivergenceError(_DIVERGED.format(name=name, why=error)) from error
+            raise DivergenceError(_DIVERGED.format(name=entrant.name, why=error)) from error
         run[:, window] = simulation.outputs[order][:, early:]
-        motion[:, window] = simulation.states[: linear.n_states, early:]
+        motion[:, window] = simulation.states[:n_states, early:]
         states[index] = motion[:, max(window.start, hidden)]
     # a free run that overflows is reported with its time
     if not np.isfinite(run).all():
         k = int(np.argmin(np.isfinite(run).all(axis=0)))
         why = f"its output is not finite from t = {data.timepts[k]:g} s on"
-        raise DivergenceError(_DIVERGED.format(name=name, why=why))
+        raise DivergenceError(_DIVERGED.format(name=entrant.name, why=why))
     return run[:, hidden:], states, motion[:, hidden:]
 
 
-def _beyond_tables(model: Any, name: str, states: Array, inputs: Array) -> list[str]:
+def _on_measured_outputs(entrant: _Entrant) -> Any:
+    """Return the model with the outputs that were measured.
+
+    Only a plain state-space model may have others.
+    """
+    model, linear, places = entrant.model, entrant.linear, entrant.channels.outputs
+    rows = [i for i, place in enumerate(places) if place >= 0]
+    if len(rows) == len(places):
+        return model
+    if model is not getattr(model, "system", model):
+        unmeasured = ", ".join(linear.output_labels[i] for i, place in enumerate(places) if place < 0)
+        raise ct.ControlDimension(
+            f"{entrant.name!r} has outputs that the record does not hold ({unmeasured}); only a plain "
+            "StateSpace can be compared on part of its outputs: measure them, build the model without "
+            "them, or pass .system"
+        )
+    return linear.with_arrays(
+        C=linear.C[rows], D=linear.D[rows], output_labels=tuple(linear.output_labels[i] for i in rows)
+    ).to_statespace()
+
+
+def _beyond_tables(entrant: _Entrant, states: Array, course: _Course) -> list[str]:
     """A sentence on each table that the motion of a model leaves."""
-    sentences = []
-    for effect in getattr(model, "effects", ()):
-        if isinstance(effect.law, Table):
-            # motion that the table depends on: signal, or displacement and velocity at the place
-            physical, place = structure_of(model)[0].model, effect.place
-            linear = physical.linear
-            if place in linear.input_labels:
-                d = v = inputs[linear.input_labels.index(place)]
-            elif place in linear.output_labels:
-                j = linear.output_labels.index(place)
-                d = v = linear.C[j] @ states + linear.D[j] @ inputs
-            else:
-                port = physical.port(place)
-                d = port.position @ states + port.position_input @ inputs
-                v = port.velocity @ states + port.velocity_input @ inputs
-            # share of the samples outside the table
-            share = share_beyond(effect.law, d, v)
-            if share > 0.0:
-                sentences.append(
-                    f"the motion of {name!r} leaves the table of {effect.label} in {100 * share:.2g} % of "
-                    "the samples; the table is extrapolated linearly there"
-                )
+    inputs, sentences = record_for(course.data, entrant.channels).inputs[:, course.hidden :], []
+    for effect in getattr(entrant.model, "effects", ()):
+        if not isinstance(effect.law, Table):
+            continue
+        physical = structure_of(entrant.model)[0].model
+        # share of the samples outside the table
+        share = share_beyond(effect.law, *_felt_at(physical, effect.place, states, inputs))
+        if share > 0.0:
+            sentences.append(
+                f"the motion of {entrant.name!r} leaves the table of {effect.label} in {100 * share:.2g} % "
+                "of the samples; the table is extrapolated linearly there"
+            )
     return sentences
+
+
+def _felt_at(physical: PhysicalModel, place: str, states: Array, inputs: Array) -> tuple[Array, Array]:
+    """Return displacement and velocity at a place, or its signal twice."""
+    linear = physical.linear
+    states = states[: linear.n_states]  # without those of the effects
+    if place in linear.input_labels:
+        signal = inputs[linear.input_labels.index(place)]
+        return signal, signal
+    if place in linear.output_labels:
+        j = linear.output_labels.index(place)
+        signal = linear.C[j] @ states + linear.D[j] @ inputs
+        return signal, signal
+    port = physical.port(place)
+    d = port.position @ states + port.position_input @ inputs
+    return d, port.velocity @ states + port.velocity_input @ inputs
 
 
 _DIVERGED = (

@@ -21,6 +21,7 @@ from ..results import Row
 from ..systems.linear import Array
 from ..systems.response import as_sampled, frequency_response
 from .failure_map.record import ModelOnRecord
+from .signals import root_mean_square
 
 if TYPE_CHECKING:
     from .result import Comparison
@@ -188,7 +189,7 @@ def horizon_error(comparison: Comparison, steps: Any = None) -> HorizonError:
         raise DataError(f"steps must be whole numbers of samples from 1 to {data.n_samples - 1}, not {steps}")
     # error of each model at each horizon, beside that of the free run
     rmse = np.array([_errors(comparison, i, ahead) for i in range(len(comparison.names))])
-    free = np.sqrt(np.mean((data.outputs[None] - comparison.runs) ** 2, axis=2))
+    free = root_mean_square(data.outputs[None] - comparison.runs)
     return HorizonError(
         comparison.names, ahead.astype(float), np.asarray(ahead * data.dt, dtype=float), rmse, free
     )
@@ -221,7 +222,7 @@ def _gain(Phi: Array, drive: Array, C: Array, residual: Array, scene: ModelOnRec
     if n == 0:
         return np.zeros((0, ny))
     # every direction of the state may be disturbed a little: an integrator must not escape
-    size = np.sqrt(np.mean(scene.states**2, axis=1))
+    size = root_mean_square(scene.states)
     size = np.where(size > 0, size, max(float(size.max(initial=0.0)), 1.0))
     # noise covariances: unknown input of this level, and a little on every state
     moved = drive * np.maximum(scene.data.inputs.std(axis=1), 1e-300)

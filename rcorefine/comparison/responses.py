@@ -57,7 +57,7 @@ class FrequencyComparison(Reported):
     @property
     def residual(self) -> NDArray[np.complex128]:
         """Measured minus model, shape (n_y, n_w, n_omega) or (n_models, ...)."""
-        return np.asarray(self._per_model(self.measured.response[None] - self.responses))
+        return self._per_model(self.measured.response[None] - self.responses)
 
     @property
     def fit(self) -> Array:
@@ -66,7 +66,7 @@ class FrequencyComparison(Reported):
         100 (1 - norm(G - Gh) / norm(G - mean(G))) of the complex responses.
         """
         # as for time signals, with complex values
-        return np.asarray(self._per_model(fit_percent(self.measured.response[None], self.responses)))
+        return self._per_model(fit_percent(self.measured.response[None], self.responses))
 
     @property
     def over_noise(self) -> Array:
@@ -79,8 +79,8 @@ class FrequencyComparison(Reported):
         std = self.measured.std
         error = np.abs(self.measured.response[None] - self.responses)
         if std is None or not std.all():
-            return np.asarray(self._per_model(np.full(error.shape[:-1], np.nan)))
-        return np.asarray(self._per_model(np.sqrt(0.5 * np.mean((error / std) ** 2, axis=-1))))
+            return self._per_model(np.full(error.shape[:-1], np.nan))
+        return self._per_model(np.sqrt(0.5 * np.mean((error / std) ** 2, axis=-1)))
 
     @property
     def relative_error(self) -> Array:
@@ -90,7 +90,7 @@ class FrequencyComparison(Reported):
         """
         # relative to the measured response, infinite at its zeros
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(self._per_model(np.abs(self.responses / self.measured.response[None] - 1.0)))
+            return self._per_model(np.abs(self.responses / self.measured.response[None] - 1.0))
 
     @property
     def worst(self) -> Array:
@@ -100,7 +100,7 @@ class FrequencyComparison(Reported):
         """
         # frequency of the largest absolute error
         error = np.abs(self.measured.response[None] - self.responses)
-        return np.asarray(self._per_model(self.measured.omega[np.argmax(error, axis=-1)]))
+        return self._per_model(self.measured.omega[np.argmax(error, axis=-1)])
 
     @picture
     def plot(
@@ -202,22 +202,26 @@ def compare_responses(
 def _compare_one(
     given: Sequence[Any], models: Sequence[LinearModel], measured: FrequencyResponse, several: bool
 ) -> FrequencyComparison:
-    # channels in the order of the measured response
-    straight = [_in_order_of(model, measured) for model in models]
-    whole = [_with_effects(each, model, measured) for each, model in zip(given, models, strict=True)]
-    responses = []
-    # sampled models with the hold of the measurement; nonlinear ones by harmonic balance
-    for model, own in zip(straight, whole, strict=True):
-        seen = as_sampled(model, measured.dt, measured.hold) if measured.dt > 0 else model
-        responses.append(frequency_response(seen, measured.omega) if own is None else own)
-    return FrequencyComparison(
-        names=tuple(m.name for m in models),
-        models=tuple(straight),
-        measured=measured,
-        responses=np.array(responses),
-        several=several,
-        linear=all(own is None for own in whole),
-    )
+    straight, responses, linear = [], [], True
+    for each, model in zip(given, models, strict=True):
+        # channels in the order of the measured response: rows are outputs, columns inputs
+        rows = _order("output", model.output_labels, measured.output_labels, model.name)
+        columns = _order("input", model.input_labels, measured.input_labels, model.name)
+        flat = model.with_arrays(
+            B=model.B[:, columns], C=model.C[rows], D=model.D[np.ix_(rows, columns)],
+            input_labels=measured.input_labels, output_labels=measured.output_labels,
+        )  # fmt: skip
+        straight.append(flat)
+        # nonlinear models by harmonic balance; sampled ones with the hold of the measurement
+        whole = _with_effects(each, model, measured)
+        if whole is None:
+            seen = as_sampled(flat, measured.dt, measured.hold) if measured.dt > 0 else flat
+            responses.append(frequency_response(seen, measured.omega))
+        else:
+            responses.append(whole[np.ix_(rows, columns)])
+            linear = False
+    names = tuple(model.name for model in models)
+    return FrequencyComparison(names, tuple(straight), measured, np.array(responses), several, linear)
 
 
 def _with_effects(
@@ -235,21 +239,7 @@ def _with_effects(
         return None
     # response at the amplitude of the measurement
     record = ResponseRecord.plain(measured, linear)
-    response = ResponseEngine(structure, record).response(theta, derivatives=False)[0]
-    rows = _order("output", linear.output_labels, measured.output_labels, linear.name)
-    columns = _order("input", linear.input_labels, measured.input_labels, linear.name)
-    return response[np.ix_(rows, columns)]
-
-
-def _in_order_of(model: LinearModel, measured: FrequencyResponse) -> LinearModel:
-    """The model with its channels in the order of the response."""
-    # rows are outputs, columns inputs
-    rows = _order("output", model.output_labels, measured.output_labels, model.name)
-    columns = _order("input", model.input_labels, measured.input_labels, model.name)
-    return model.with_arrays(
-        B=model.B[:, columns], C=model.C[rows], D=model.D[np.ix_(rows, columns)],
-        input_labels=measured.input_labels, output_labels=measured.output_labels,
-    )  # fmt: skip
+    return ResponseEngine(structure, record).response(theta, derivatives=False)[0]
 
 
 def _order(what: str, own: Sequence[str], wanted: Sequence[str], name: str) -> list[int]:

@@ -131,13 +131,7 @@ class Comparison(Reported):
         gives no reason to doubt the model, whatever the color of the noise.
         Searched when first asked for, which takes a second or so per model.
         """
-        from .failure_map.search import failure_map
-
-        # search each model once
-        for index in range(len(self.names)):
-            if index not in self._found:
-                self._found[index] = failure_map(self, index)
-        maps = tuple(self._found[index] for index in range(len(self.names)))
+        maps = tuple(failures_of(self, index) for index in range(len(self.names)))
         return maps if self.several else maps[0]
 
     @property
@@ -228,17 +222,8 @@ class Comparison(Reported):
         else:
             raise ct.ControlArgument(f"no model {shown(name)}; there are {', '.join(map(repr, self.names))}")
         # all fields with an axis over the models
-        return replace(
-            self,
-            names=(self.names[index],),
-            models=(self.models[index],),
-            holds=(self.holds[index],),
-            runs=self.runs[index : index + 1],
-            states=(self.states[index],),
-            places=(self.places[index],),
-            initial_states=(self.initial_states[index],),
-            several=False,
-        )
+        fields = ("names", "models", "holds", "runs", "states", "places", "initial_states")
+        return replace(self, **{key: getattr(self, key)[index:][:1] for key in fields}, several=False)
 
     @picture
     def plot(
@@ -300,6 +285,9 @@ class Comparison(Reported):
 
 def failures_of(result: Comparison, index: int = 0) -> FailureMap:
     """Return the failure map of one of the models; empty where it is adequate."""
-    found = result.failures
-    chosen: FailureMap = found[index] if result.several else found
-    return chosen
+    from .failure_map.search import failure_map
+
+    # search each model once
+    if index not in result._found:
+        result._found[index] = failure_map(result, index)
+    return result._found[index]

@@ -17,21 +17,20 @@ from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
 
 _Law = Callable[[Array, float], Array]
+_Shapes = tuple[tuple[str, _Law, str], ...]  # name, formula, region
 # What an input does beside the model's input where it has a level g, and the region.
-_LEVELS: tuple[tuple[str, _Law, str], ...] = (
+_LEVELS: _Shapes = (
     ("dead zone", lambda w, g: -np.clip(w, -g, g), "|{n}| < {g}"),
     ("saturation", lambda w, g: np.clip(w, -g, g) - w, "|{n}| > {g}"),
 )
 # The same without a level; the spread of the input keeps the unit.
-_SHAPES: tuple[tuple[str, _Law, str], ...] = (
+_SHAPES: _Shapes = (
     ("asymmetry", lambda w, spread: np.abs(w), "the two signs of {n}"),
     ("odd distortion", lambda w, spread: w**3 / spread**2, "large |{n}|"),
     ("even distortion", lambda w, spread: w**2 / spread, "large |{n}|"),
 )
 # An input of one sign has no sides.
-_ONE_SIDED: tuple[tuple[str, _Law, str], ...] = (
-    ("curvature", lambda w, spread: w**2 / spread, "large |{n}|"),
-)
+_ONE_SIDED: _Shapes = (("curvature", lambda w, spread: w**2 / spread, "large |{n}|"),)
 _SENTENCES = {
     "dead zone": "Small values of {n} (below {g}) have less effect than in the model: a dead zone.",
     "saturation": "Values of {n} beyond {g} have less effect than in the model: the actuator saturates.",

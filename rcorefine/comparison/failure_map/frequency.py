@@ -15,7 +15,8 @@ from ...exceptions import RCOError, unheard
 from ...results import Row, frequency_text, phase_text
 from ...systems.conversion import d2c
 from ...systems.linear import Array, LinearModel
-from .likelihood import Explanation
+from ..signals import root_mean_square
+from .likelihood import Explanation, least_squares
 from .record import Finding, ModelOnRecord
 
 _MOST_TOGETHER = 8
@@ -150,12 +151,7 @@ class Shift:
         waves = (self.mode.shape[:, None] * motion[None]) / scene.scale
         columns = np.array([waves.real, waves.imag] if self.mode.paired else [waves.real])
         *left, target = scene.evidence.without_nuisance(np.array([*columns, scene.residual - change]))
-        basis = np.reshape(left, (len(columns), -1))
-        size = np.linalg.norm(basis, axis=1)
-        if not np.all(size > 1e-9):
-            return np.zeros_like(change)
-        unit = basis / size[:, None]
-        best = np.linalg.lstsq(unit @ unit.T, unit @ target.ravel(), rcond=1e-12)[0] / size
+        best = least_squares(np.reshape(left, (len(columns), -1)).T, target.ravel())
         return np.asarray(np.tensordot(best, columns, 1))
 
 
@@ -419,7 +415,7 @@ class LineLevels(Row):
         It is taken over all outputs. The `kind` of the noise is "noise". Each output is scaled by its own
         size. -inf if there are no such lines.
         """
-        sent = np.sqrt(np.mean(self.amplitude[:, self.kind == "sent"] ** 2, axis=1))
+        sent = root_mean_square(self.amplitude[:, self.kind == "sent"])
         rows = self.noise if kind == "noise" else self.amplitude[:, self.kind == kind]
         if not rows.size or not sent.all():
             return float("-inf")

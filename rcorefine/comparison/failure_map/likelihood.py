@@ -178,7 +178,7 @@ class ResidualLikelihood:
         The result includes the gain in log-likelihood.
         """
         # whitened least squares
-        values = _least_squares(*self.white(columns))
+        values = least_squares(*self.white(columns))
         return self._explanation(np.tensordot(values, np.array(columns), 1), values)
 
     def best_of(self, groups: Sequence[Sequence[Array]], most: int = 3) -> list[tuple[int, Explanation]]:
@@ -190,7 +190,7 @@ class ResidualLikelihood:
         for group in groups:
             white, target = self.white(group)
             # residual sum of squares with Schwarz's penalty
-            left = float(np.sum((target - white @ _least_squares(white, target)) ** 2))
+            left = float(np.sum((target - white @ least_squares(white, target)) ** 2))
             taken.append(left + target.size / self.n_samples * len(group) * np.log(self.n_samples))
         order = np.argsort(taken, kind="stable")[:most]
         return [(int(k), self.linear(groups[k])) for k in order]
@@ -236,7 +236,7 @@ class ResidualLikelihood:
                 best = found.x
         (shape,), value = shapes(np.array([best])), np.array([best])
         if scaled:
-            factor = _least_squares(*self.white([shape]))
+            factor = least_squares(*self.white([shape]))
             return self._explanation(factor * shape, np.append(factor, value))
         return self._explanation(shape, value)
 
@@ -297,7 +297,7 @@ def _share(error: Array, part: Array) -> float:
     return float(np.clip(1.0 - np.sum((error - part) ** 2) / total, 0.0, 1.0)) if total > 0 else 0.0
 
 
-def _least_squares(columns: Array, target: Array) -> Array:
+def least_squares(columns: Array, target: Array) -> Array:
     """Return least-squares coefficients of columns (rows, k).
 
     A column that is nearly zero is left out.

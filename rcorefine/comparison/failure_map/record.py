@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ...data.channels import Channels
-from ...engine.linear import linear_responses
+from ...engine.linear import linear_responses, unit_responses
 from ...exceptions import RCOError, unheard
 from ...models.physical_model import PhysicalModel
 from ...models.ports import Port, felt
@@ -174,7 +174,7 @@ class ModelOnRecord:
         # free motions, where the initial state was estimated
         if searched and comparison.x0 == "estimate":
             longest = max(np.diff([*self.starts, self.n_samples]))
-            initial = self._free(int(longest)) / self.scale
+            initial = unit_responses(self.transition, model.C, int(longest)) / self.scale
             start = initial @ self.states[:, 0]
             self.begins_moving = bool(np.sum(start**2) > 0.02 * np.sum(self.run[:, : start.shape[0]] ** 2))
             self._motions = initial if len(self.starts) == 1 and self.n_outputs > 1 else None
@@ -185,15 +185,6 @@ class ModelOnRecord:
         #: simulated outputs (n_y, N) at a delay in samples, which need not be a whole number
         self.late: Callable[[float], Array] = lru_cache(maxsize=60)(self._with_delay)
         self.evidence = ResidualLikelihood(self.measured - self.run, self.starts, initial)
-
-    def _free(self, length: int) -> Array:
-        """Outputs from unit initial states, (length, n_y, n)."""
-        # C Phi^k
-        x, out = np.eye(self.model.n_states), np.empty((length, self.n_outputs, self.model.n_states))
-        for k in range(length):
-            out[k] = self.model.C @ x
-            x = self.transition @ x
-        return out
 
     @cached_property
     def places(self) -> Places | None:

@@ -122,9 +122,6 @@ class FailureMap(Result):
     def __getitem__(self, index: int) -> Failure:
         return self.rows[index]
 
-    def __bool__(self) -> bool:
-        return bool(self.rows)
-
 
 @own_arithmetic()
 def failure_map(comparison: Comparison, index: int) -> FailureMap:
@@ -202,17 +199,29 @@ def _rows(scene: ModelOnRecord) -> tuple[Failure, ...]:
     whole.use_white()
     findings = _search_all(scene)
     count = 2 * sum(f.tried for f in findings)
-    sure = [f for f in findings if _p_value(f, scene, count) < levels().failure]
-    leaders = _in_order(sure, scene)
+    leaders = _in_order(_significant(findings, scene, count), scene)
     # second pass: noise model of what the leader leaves
     whole.use(scene.residual - (leaders[0].explanation.fit if leaders else 0.0))
     ranked = _rank(findings + _search_all(scene), scene, count)
     if not ranked:
         return ()
-    rows = [_row(ranked[0], scene, count, "first", whole)]
-    fit, all_of_it = ranked[0].explanation.fit, whole.whole(ranked[0].explanation)
-    lead = whole.share(fit)
-    shown = [_region(ranked[0])]
+    besides = _search_rest(scene, ranked[0], count)
+    scene.evidence = whole
+    roles = [(ranked[0], "first"), *((f, "besides") for f in besides)]
+    roles += [(f, "instead") for f in _other_views(ranked, whole)]
+    return tuple(
+        Failure(
+            f.dimension, f.where, f.measure, f.explanation.gain, _p_value(f, scene, count),
+            whole.share_of_error(whole.whole(f.explanation)), f.sentence, role, f.values,
+        )
+        for f, role in roles[:_SHOWN]
+    )  # fmt: skip
+
+
+def _search_rest(scene: ModelOnRecord, leader: Finding, count: int) -> list[Finding]:
+    """Look for up to two more failures in what the leading one leaves."""
+    whole, found = scene.evidence, [leader]
+    fit, all_of_it = leader.explanation.fit, whole.whole(leader.explanation)
 
     def more(f: Finding) -> float:
         """Share of the error that a finding explains besides those before."""
@@ -220,32 +229,33 @@ def _rows(scene: ModelOnRecord) -> tuple[Failure, ...]:
         part = scene.evidence.share_of_error(scene.evidence.whole(f.explanation))
         return max(besides, part * (1.0 - whole.share_of_error(all_of_it)))
 
-    # look for up to two more failures in the remaining residual
+    least = levels().failure_besides
     for _ in range(_BESIDES):
-        if max(1.0 - whole.share(fit), 1.0 - whole.share_of_error(all_of_it)) < levels().failure_besides:
+        if max(1.0 - whole.share(fit), 1.0 - whole.share_of_error(all_of_it)) < least:
             break  # nothing is left that could count
         scene.evidence, scene.known, scene.laws = whole.after(fit, all_of_it), {}, None
-        left = [
-            f
-            for f in _rank(_search_all(scene), scene, count)
-            if f.dimension != "place" and _region(f) not in shown and more(f) >= levels().failure_besides
-        ]
-        if not left:
+        shown = [_region(f) for f in found]
+        ranked = [f for f in _rank(_search_all(scene), scene, count) if f.dimension != "place"]
+        best = next((f for f in ranked if _region(f) not in shown and more(f) >= least), None)
+        if best is None:
             break
-        rows.append(_row(left[0], scene, count, "besides", whole))
-        shown.append(_region(left[0]))
-        fit, all_of_it = fit + left[0].explanation.fit, all_of_it + scene.evidence.whole(left[0].explanation)
-    scene.evidence = whole
-    # other views of the same failure
-    dimensions = {ranked[0].dimension}
+        found.append(best)
+        fit, all_of_it = fit + best.explanation.fit, all_of_it + scene.evidence.whole(best.explanation)
+    return found[1:]
+
+
+def _other_views(ranked: Sequence[Finding], whole: ResidualLikelihood) -> Iterator[Finding]:
+    """Yield other views of the failure that leads.
+
+    These are the best row of each dimension, and what explains nearly as much as the leader.
+    """
+    leader = ranked[0]
+    lead, dimensions = whole.share(leader.explanation.fit), {leader.dimension}
     for f in ranked[1:]:
-        share = whole.share(f.explanation.fit)
-        # the best row of each dimension, and what explains nearly as much as the leader
-        seen = share >= _RIVAL * lead or (f.dimension not in dimensions and share >= _SOME * lead)
-        if seen and not _is_consequence(f, ranked[0], whole):
-            rows.append(_row(f, scene, count, "instead", whole))
+        least = _RIVAL if f.dimension in dimensions else _SOME
+        if whole.share(f.explanation.fit) >= least * lead and not _is_consequence(f, leader, whole):
             dimensions.add(f.dimension)
-    return tuple(rows[:_SHOWN])
+            yield f
 
 
 def _is_consequence(f: Finding, leader: Finding, whole: ResidualLikelihood) -> bool:
@@ -268,20 +278,24 @@ def _is_consequence(f: Finding, leader: Finding, whole: ResidualLikelihood) -> b
     return more(leader, f) > leader.dof * price or (f.dimension == leader.dimension and f.dof > leader.dof)
 
 
-def _row(f: Finding, scene: ModelOnRecord, count: int, role: str, whole: ResidualLikelihood) -> Failure:
-    return Failure(
-        f.dimension, f.where, f.measure, f.explanation.gain, _p_value(f, scene, count),
-        whole.share_of_error(whole.whole(f.explanation)), f.sentence, role, f.values,
-    )  # fmt: skip
+def _significant(findings: Sequence[Finding], scene: ModelOnRecord, count: int) -> list[Finding]:
+    """Return the findings that pass the level of the map."""
+    return [f for f in findings if _p_value(f, scene, count) < levels().failure]
 
 
 def _rank(findings: Sequence[Finding], scene: ModelOnRecord, count: int) -> list[Finding]:
     """Best finding of each kind of region, significant ones only, best first."""
     best: dict[tuple[str, ...], Finding] = {}
     # best finding in each region
-    for finding in _in_order([f for f in findings if _p_value(f, scene, count) < levels().failure], scene):
+    for finding in _in_order(_significant(findings, scene, count), scene):
         best.setdefault(_region(finding), finding)
-    return _place_second(list(best.values()), scene)
+    ranked, share = list(best.values()), scene.evidence.share
+    # a place is another view of what the others show: it leads only if none explains 90 % as much
+    if ranked and ranked[0].dimension == "place":
+        least = _EQUAL * share(ranked[0].explanation.fit)
+        others = [f for f in ranked if f.dimension != "place" and share(f.explanation.fit) >= least]
+        ranked.sort(key=lambda f: f not in others[:1])
+    return ranked
 
 
 def _in_order(findings: Sequence[Finding], scene: ModelOnRecord) -> list[Finding]:
@@ -311,18 +325,3 @@ def _region(finding: Finding) -> tuple[str, ...]:
     if finding.dimension == "amplitude":
         kind = kind + str(v.get("parity", "")) if kind in ("level", "distortion") else "input"
     return finding.dimension, kind, str(owner)
-
-
-def _place_second(ranked: list[Finding], scene: ModelOnRecord) -> list[Finding]:
-    """Move a finding of another dimension before a leading place.
-
-    A place is another view of what the other dimensions show. It comes after the best of them.
-    """
-    if not ranked or ranked[0].dimension != "place":
-        return ranked
-    # a place leads only if nothing else explains 90 % as much
-    lead = scene.evidence.share(ranked[0].explanation.fit)
-    for other in ranked:
-        if other.dimension != "place" and scene.evidence.share(other.explanation.fit) >= _EQUAL * lead:
-            return [other, *(f for f in ranked if f is not other)]
-    return ranked

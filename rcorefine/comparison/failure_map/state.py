@@ -327,34 +327,15 @@ def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
     if scene.places is None:
         return []
     found: list[Finding] = []
-    evidence, count = scene.evidence, len(scene.places.places)
     leaders: list[tuple[int, Port, ForceLaw, Explanation, int]] = []
     # each place: best nonlinear laws by likelihood, then linear and general forces
     for index, place, laws in _columns(scene):
-        curved = [
-            (law, columns)
-            for law, columns in laws
-            if law.code != _LINEAR and (len(columns) == 1 or _directions_differ(scene, *columns))
-        ]
-        tried = len(laws) * count
-        judged = [
-            (curved[k][0]._replace(resists=bool(explanation.values.sum() > 0)), explanation)
-            for k, explanation in evidence.best_of([columns for _, columns in curved])
-        ]
+        tried = len(laws) * len(scene.places.places)
+        judged = _best_curved(scene, laws)
         found += [_finding(place, law, explanation, tried) for law, explanation in judged]
         if judged:
             leaders.append((index, place, *max(judged, key=lambda pair: pair[1].gain), tried))
-        straight = [column for law, columns in laws for column in columns if law.code == _LINEAR]
-        usual = ("dry", "odd velocity", "odd displacement")
-        every = straight + [column for law, columns in laws for column in columns if law.name in usual]
-        name = place.name
-        at, depends = f"coefficient of {name}", f"at {name} that depends on the state there"
-        if place.kind == "mechanical":
-            at, depends = f"stiffness and damping at {name}", f"at {name} that depends on the motion there"
-        force = f"{place.acts_by} {depends}"
-        change = f"change of the linear coefficients at {name} alone"
-        found.append(_at_place(scene, f"force at {name}", "hidden force", "force", force, every, name))
-        found.append(_at_place(scene, at, "linear force", "linear force", change, straight, name))
+        found += _whole_forces(scene, place, laws, len(scene.places.places))
     # the two best laws again, in a loop with the motion that they cause
     for index, place, law, explanation, tried in sorted(leaders, key=lambda row: -row[3].gain)[:2]:
         if explanation.gain > _WORTH:
@@ -362,15 +343,41 @@ def forces_at_places(scene: ModelOnRecord) -> list[Finding]:
     return found
 
 
-def _at_place(
-    scene: ModelOnRecord, where: str, measure: str, kind: str, what: str, columns: list[Array], place: str
-) -> Finding:
-    assert scene.places is not None
-    explanation, tried = scene.evidence.linear(columns), len(scene.places.places)
-    share = 100 * scene.evidence.share_of_error(scene.evidence.whole(explanation))
-    text = f"A {what} would explain {share:.3g} % of the error."
-    values = {"place": place, "kind": kind}
-    return Finding("place", where, measure, explanation, len(columns), tried, text, values)
+def _best_curved(scene: ModelOnRecord, laws: _Laws) -> list[tuple[ForceLaw, Explanation]]:
+    """Return the nonlinear laws that explain the most, with their fits."""
+    curved = [
+        (law, columns)
+        for law, columns in laws
+        if law.code != _LINEAR and (len(columns) == 1 or _directions_differ(scene, *columns))
+    ]
+    return [
+        (curved[k][0]._replace(resists=bool(explanation.values.sum() > 0)), explanation)
+        for k, explanation in scene.evidence.best_of([columns for _, columns in curved])
+    ]
+
+
+def _whole_forces(scene: ModelOnRecord, place: Port, laws: _Laws, tried: int) -> list[Finding]:
+    """Return what any force at a place explains, and what a linear one does."""
+    straight = [column for law, columns in laws for column in columns if law.code == _LINEAR]
+    usual = ("dry", "odd velocity", "odd displacement")
+    every = straight + [column for law, columns in laws for column in columns if law.name in usual]
+    name, state = place.name, "state there"
+    at = f"coefficient of {name}"
+    if place.kind == "mechanical":
+        at, state = f"stiffness and damping at {name}", "motion there"
+    force = f"{place.acts_by} at {name} that depends on the {state}"
+    change = f"change of the linear coefficients at {name} alone"
+    found = []
+    for where, measure, kind, what, columns in (
+        (f"force at {name}", "hidden force", "force", force, every),
+        (at, "linear force", "linear force", change, straight),
+    ):
+        explanation = scene.evidence.linear(columns)
+        share = 100 * scene.evidence.share_of_error(scene.evidence.whole(explanation))
+        text = f"A {what} would explain {share:.3g} % of the error."
+        values = {"place": name, "kind": kind}
+        found.append(Finding("place", where, measure, explanation, len(columns), tried, text, values))
+    return found
 
 
 def _directions_differ(scene: ModelOnRecord, forward: Array, backward: Array) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from scipy import stats
 from ...data.records import coarse_noise, cut_off
 from ...inference.whitening import autoregression, innovations
 from ...systems.linear import Array
+from ..signals import root_mean_square
 from .likelihood import Explanation
 from .record import Finding, ModelOnRecord
 
@@ -221,69 +223,73 @@ def stretches(scene: ModelOnRecord) -> list[Finding]:
 
 
 def _stretch(scene: ModelOnRecord, i: int, masked: NDArray[np.bool_]) -> Finding | None:
-    N, order = scene.n_samples, scene.evidence.order
-    r = scene.residual[i]
-    best: tuple[float, int, int, Array] | None = None
+    N, r = scene.n_samples, scene.residual[i]
     # loudest stretch of the residual, and of its innovations
-    for energy in (r**2, innovations(scene.evidence.whitener.filters[i], r) ** 2):
-        a0, b0 = _loudest(np.where(masked, np.nan, energy))
-        for _ in range(3):
-            inside = np.zeros((scene.n_outputs, N), dtype=bool)
-            inside[i] = masked
-            inside[i, a0:b0] = True
-            # what happened there must not bend the initial state, nor the noise model
-            left = scene.evidence.outside(inside)[i]
-            own, _ = autoregression(np.where(inside[i], 0.0, left), order=order)
-            edges = _edges(np.where(masked, np.nan, _smaller_innovations(own, left)), a0, b0)
-            if edges == (a0, b0):
-                break
-            a0, b0 = edges
-        worth = _likelihood_gain(r, left, masked, a0, b0, order)
-        if best is None or worth > best[0]:
-            best = worth, a0, b0, left
-    assert best is not None
-    worth, a0, b0, left = best
-    if worth <= 0 or b0 - a0 < _SHORTEST or b0 - a0 > 0.9 * N:
+    energies = r**2, innovations(scene.evidence.whitener.filters[i], r) ** 2
+    found = [_located(scene, i, masked, energy) for energy in energies]
+    worth, a, b, left = max(found, key=itemgetter(0))
+    if worth <= 0 or b - a < _SHORTEST or b - a > 0.9 * N:
         return None
-    inside_level = float(np.sqrt(np.mean(left[a0:b0] ** 2)))
-    outside_level = float(np.sqrt(np.mean(np.delete(left, slice(a0, b0)) ** 2)))
-    times = inside_level / max(outside_level, 1e-300)
+    inside, outside = (float(root_mean_square(part)) for part in (left[a:b], np.delete(left, slice(a, b))))
+    times = inside / max(outside, 1e-300)
     # the stretch is brought down to the level of the rest, not to nothing
     fit = r - left
-    fit[a0:b0] += left[a0:b0] * max(1.0 - outside_level / max(inside_level, 1e-300), 0.0)
-    explanation, dof = Explanation(scene.only(i, fit), worth, np.array([inside_level])), 3
-    seen, measure, stuck = scene.measured[i], "error level", None
-    text = "the error is larger than anywhere else: a disturbance or a change"
-    hangs = _jumps(seen, a0, b0)
-    if hangs:  # the record shows a constant instead of the output
-        flat = np.zeros(N)
-        flat[a0:b0] = 1.0
-        stuck = scene.evidence.linear([scene.only(i, scene.run[i] * flat), scene.only(i, flat)])
-        stuck = stuck if -1.25 < stuck.values[0] < -0.75 else None
-        hangs = seen[a0:b0].std() < _STILL * np.delete(seen, slice(a0, b0)).std()
+    fit[a:b] += left[a:b] * max(1.0 - outside / max(inside, 1e-300), 0.0)
+    explanation, dof = Explanation(scene.only(i, fit), worth, np.array([inside])), 3
+    stuck, hangs = _dropout(scene, i, a, b)
     if stuck is not None and stuck.gain > worth:
         explanation, dof = Explanation(stuck.fit, stuck.gain, explanation.values), 4
+    measure, text = "error level", "the error is larger than anywhere else: a disturbance or a change"
     if stuck is not None or hangs:
         measure = "dropout"
         text = "the output does not follow the model at all: the record dropped out or was stuck"
     elif times < _LOUDER:
         return None  # an error that goes with the motion is a little larger where the motion is
-    start, stop, name = scene.time(a0), scene.time(b0), scene.named(i)
+    start, stop, name = scene.time(a), scene.time(b), scene.named(i)
     larger = "more than 1000" if times > 1e3 else f"{times:.0f}" if times > 10 else f"{times:.2g}"
     text = f"From {start:.4g} to {stop:.4g} s {text} ({larger} times the error elsewhere)."
-    values = {"start": start, "stop": stop, "output": name, "span": (a0, b0), "ratio": times}
+    values = {"start": start, "stop": stop, "output": name, "span": (a, b), "ratio": times}
     # stretches that do not overlap much, of all lengths, are chosen from
     where, tried = f"{start:.4g} ... {stop:.4g} s, {name}", 4 * N // _SHORTEST
     return Finding("time", where, measure, explanation, dof, tried, text, values)
 
 
-def _smaller_innovations(own: Array, left: Array) -> Array:
-    """Return the smaller squared innovations, forward or backward in time.
+def _located(
+    scene: ModelOnRecord, i: int, masked: NDArray[np.bool_], energy: Array
+) -> tuple[float, int, int, Array]:
+    """Return the worth of the loudest stretch, its ends, and a residual.
 
-    So the memory of the filter does not reach over both edges of a stretch.
+    Its nuisances are fitted outside of the stretch: what happened there must bend neither the initial state
+    nor the noise model.
     """
-    forwards, backwards = innovations(own, left), innovations(own, left[::-1])[::-1]
-    return np.asarray(np.minimum(forwards**2, backwards**2))
+    order = scene.evidence.order
+    a, b = _loudest(np.where(masked, np.nan, energy))
+    for _ in range(3):
+        inside = np.zeros((scene.n_outputs, scene.n_samples), dtype=bool)
+        inside[i] = masked
+        inside[i, a:b] = True
+        left = scene.evidence.outside(inside)[i]
+        own, _ = autoregression(np.where(inside[i], 0.0, left), order=order)
+        # the smaller innovations, forward or backward in time: the memory of the filter does not reach over
+        # both edges of the stretch
+        forwards, backwards = innovations(own, left), innovations(own, left[::-1])[::-1]
+        edges = _edges(np.where(masked, np.nan, np.minimum(forwards**2, backwards**2)), a, b)
+        if edges == (a, b):
+            break
+        a, b = edges
+    return _likelihood_gain(scene.residual[i], left, masked, a, b, order), a, b, left
+
+
+def _dropout(scene: ModelOnRecord, i: int, a: int, b: int) -> tuple[Explanation | None, bool]:
+    """Return the fit of a constant to an output, and whether it rests."""
+    seen = scene.measured[i]
+    if not _jumps(seen, a, b):
+        return None, False
+    flat = np.zeros(scene.n_samples)
+    flat[a:b] = 1.0
+    stuck = scene.evidence.linear([scene.only(i, scene.run[i] * flat), scene.only(i, flat)])
+    rests = bool(seen[a:b].std() < _STILL * np.delete(seen, slice(a, b)).std())
+    return stuck if -1.25 < stuck.values[0] < -0.75 else None, rests
 
 
 def _sums(energy: Array) -> tuple[Array, Array]:
@@ -375,5 +381,5 @@ def _jumps(seen: Array, a: int, b: int) -> bool:
         near[max(edge - _NEAR, 0) : edge + _NEAR] = 0 < edge < seen.size
     if not near.any() or near.all():
         return False
-    usual = float(np.sqrt(np.mean(steps[~near] ** 2)))
+    usual = float(root_mean_square(steps[~near]))
     return usual > _FAST * seen.std() or float(steps[near].max()) > _JUMP * usual
