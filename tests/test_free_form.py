@@ -317,3 +317,20 @@ def test_a_free_curve_of_an_output_leaves_out_what_a_delay_hides(seed):
     assert beside.channel_curve(fitted, "y").d.min() >= signal[~hidden].min()
     (test,) = beside.Beside(residual_tests.TestedResidual(fitted), "y").tests()
     assert test.p_value > 0.001
+
+
+def test_a_table_beside_an_effect_with_a_state_is_compared():
+    """The table feels the states of the model, not those that the lag adds."""
+    rng = np.random.default_rng(0)
+    model = rco.mass_spring_damper([1.0], [0.4], [100.0], sensors="displacement")
+    blank = rco.Measurement(rng.standard_normal(150), np.zeros(150), dt=0.03)
+    y = rco.simulate(model, blank, "zero").outputs
+    data = rco.Measurement(blank.inputs, y + 1e-4 * rng.standard_normal(y.shape), dt=0.03)
+    narrow = rco.Table(d=[-1e-3, 1e-3], force=[-1e-2, 1e-2])
+    place = model.linear.input_labels[0]
+    effects = [
+        rco.Effect("tabulated", "link1", law=narrow, fixed={"scale": 1.0}),
+        rco.Effect("input_lag", place, fixed={"time_constant": 0.01}),
+    ]
+    found = rco.compare(rco.refine(model, data, effects, offset=False), data)
+    assert "leaves the table of tabulated at link1" in " ".join(found.notes)
