@@ -20,8 +20,9 @@ from ..exceptions import ModelError
 from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array, LinearModel, realized
 from .controller import HELD, as_controller, unrecorded
-from .detection import recognized
-from .links import Declared, weighted
+from .detection import recognize
+from .incidence import Declared
+from .links import weighted
 from .operating_point import as_operating_point
 from .parameters import NominalParameter, combine_units
 from .physical_model import PhysicalModel
@@ -92,8 +93,10 @@ def from_nonlinear(
     functions = RightHandSide(system.updfcn, system.outfcn, names, others, n, ny, f"{system.name!r}")
     nominal = np.array([float(system.params[name]) for name in names])
     inputs, outputs, states = map(tuple, (system.input_labels, system.output_labels, system.state_labels))
-    A, B, C, D = np.zeros((n, n)), np.zeros((n, nw)), np.zeros((ny, n)), np.zeros((ny, nw))
-    bare = LinearModel(A, B, C, D, 0, inputs, outputs, states, str(system.name))
+    L = np.zeros((n + ny, n + nw))
+    bare = LinearModel(
+        L[:n, :n], L[:n, n:], L[n:, :n], L[n:, n:], 0, inputs, outputs, states, str(system.name)
+    )
     # linearize about the declared point, or about the origin
     given = {"inputs": np.zeros(nw), "states": np.zeros(n)} if operating_point is None else operating_point
     point = as_operating_point(given, bare)
@@ -107,7 +110,7 @@ def from_nonlinear(
         L = exact  # not at a corner, where the traced path may be another one
     linear = bare.with_arrays(A=L[:n, :n], B=L[:n, n:], C=L[n:, :n], D=L[n:, n:])
     # places of the linear part
-    model = PhysicalModel(**recognized(linear.to_statespace(), None, declared))
+    model = recognize(PhysicalModel, linear.to_statespace(), None, declared)
     if operating_point is None or "outputs" not in operating_point:
         point = replace(point, outputs=here[n:])
     # linear part of the outputs without the rates that they read, as the field takes it
@@ -367,7 +370,7 @@ def physical(
     if is_nonlinear(system):
         model = from_nonlinear(system, declared, operating_point)
     elif isinstance(system, ct.StateSpace):
-        model = PhysicalModel(**recognized(system, dt, declared))
+        model = recognize(PhysicalModel, system, dt, declared)
     else:
         model = as_physical(system, dt=dt)
     # declared links that join existing places

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
 
 import control as ct
 import numpy as np
@@ -18,42 +19,75 @@ from ..exceptions import ModelError
 from ..systems.conversion import d2c
 from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array, LinearModel
-from .displacements import Displacement, find_displacements, find_modes, is_companion, of_masses, significant
-from .links import Declared, find_links
-from .masses import MassScale, exchanging, relative_masses
+from .incidence import Declared, Displacement, Incidence
+from .links import find_links
+from .masses import find_masses
 from .parameters import NominalParameter, rate_at
-from .ports import Element, Port, port_at, row_of
+from .ports import Element, Port, port_at, row_of, sensor_row
+
+if TYPE_CHECKING:
+    from .physical_model import PhysicalModel
 
 _SAME = 1e-6  # relative difference of equal values
 _LEFT = 1e-9  # relative size of rounding after cancellation
 _ROUNDED = 2e-3  # relative rounding of a coupling when entries have four digits
 _MOST = 60  # most entries of B, C and D that count as parameters
 _ALONG = 1e-6  # one minus the cosine of equal directions, for entries of four digits
+_KEPT = 16  # models whose places are kept for the next call
 _ANONYMOUS = re.compile(r"x\[\d+\]")
 
 
-def recognized(sys: ct.StateSpace, dt: float | None, declared: Declared | None = None) -> dict[str, Any]:
-    """Return the arguments of a `PhysicalModel`, found in a plain model.
+@dataclass(frozen=True)
+class _Content:
+    """Model with declarations, equal to another one where all entries are."""
 
-    See `PhysicalModel.from_statespace`.
+    key: tuple[Any, ...]
+    found: Incidence = field(compare=False)
+
+
+def recognize(
+    kind: type[PhysicalModel], sys: ct.StateSpace, dt: float | None, declared: Declared | None = None
+) -> PhysicalModel:
+    """Return a plain model, as one of this class, with its places.
+
+    The same content gives the same object, whose arrays are read-only. See
+    `PhysicalModel.from_statespace`.
     """
-    linear, tolerance = _in_continuous_time(sys, dt)
-    # displacements, then places with springs and dampers
-    displacements = find_displacements(linear, tolerance)
-    ports, parameters = find_ports(linear, displacements, tolerance, declared or Declared())
+    found = Incidence(*_in_continuous_time(sys, dt), declared or Declared())
+    linear = found.linear
+    # a StateSpace can be changed, so that its entries are the key, and not the object
+    arrays = [(X.shape, X.tobytes()) for X in (getattr(linear, key) for key in "ABCD")]
+    labels = linear.input_labels, linear.output_labels, linear.state_labels, linear.name
+    return _recognize(_Content((kind, *arrays, *labels, found.tolerance, repr(found.declared)), found))
+
+
+@lru_cache(maxsize=_KEPT)
+def _recognize(content: _Content) -> PhysicalModel:
+    found = content.found
+    linear = found.linear
+    for key in "ABCD":  # the cached arrays cannot be changed
+        getattr(linear, key).setflags(write=False)
+    # displacements and modes, masses, links; then places with springs and dampers
+    found.masses = find_masses(found)
+    found.links, found.ambiguous = find_links(found)
+    # ports by state: modes, displacements, then stores and speeds without a displacement
+    by_state = {mode.states[0]: mode.port for mode in found.modes}
+    by_state |= {item.state: _displacement_port(found, item) for item in found.physical}
+    own = {*found.moving, *found.stores}.difference(found.velocity.values())
+    by_state |= {i: _state_port(found, i) for i in sorted(own)}
+    # links, flows between stores, currents past capacitors
+    ports = [by_state[i] for i in sorted(by_state)] + [link.port for link in found.links]
+    ports += [_exchange_port(found, *pair) for pair in found.exchange]
+    ports += [_shunt_port(linear, item) for item in found.physical if _is_voltage(found, item)]
+    parameters = find_parameters(found, by_state)
     # accelerometers, load cells, entries of B, C and D
-    rate = find_rate_sensors(linear, displacements, tolerance)
-    rate, ports, parameters = find_meters(linear, rate, ports, parameters)
-    weights = read_weights(linear, rate, displacements, ports, tolerance)
-    return {
-        "linear": linear,
-        # y = C_x x + C_a dx/dt + D_w w, with C = C_x + C_a A
-        "output_state": linear.C - rate @ linear.A if rate.any() else linear.C,
-        "output_rate": rate,
-        "output_input": linear.D - rate @ linear.B,
-        "ports": tuple(ports),
-        "parameters": tuple(sorted((*parameters, *weights), key=lambda q: q.kind == InputGain.name)),
-    }
+    rate, ports, parameters = find_meters(found, find_rate_sensors(found), ports, parameters)
+    parameters += find_weights(found, rate, ports)
+    parameters.sort(key=lambda q: q.kind == InputGain.name)
+    kind: type[PhysicalModel] = content.key[0]
+    # y = C_x x + C_a dx/dt + D_w w, with C = C_x + C_a A
+    outputs = linear.C - rate @ linear.A, rate, linear.D - rate @ linear.B
+    return kind(linear, *outputs, tuple(ports), tuple(parameters))
 
 
 def _in_continuous_time(sys: ct.StateSpace, dt: float | None) -> tuple[LinearModel, float]:
@@ -75,94 +109,27 @@ def _in_continuous_time(sys: ct.StateSpace, dt: float | None) -> tuple[LinearMod
     return replace(LinearModel.from_statespace(d2c(sys)), name=linear.name), 1e-7
 
 
-def find_ports(
-    linear: LinearModel, displacements: Sequence[Displacement], tolerance: float, declared: Declared
-) -> tuple[list[Port], list[NominalParameter]]:
-    """Ports and nominal parameters of a plain model.
-
-    Parameters
-    ----------
-    linear : LinearModel
-        Continuous-time model.
-    displacements : sequence of Displacement
-        Its displacement states.
-    tolerance : float
-        Relative size below which an entry counts as zero.
-    declared : Declared
-        Links, units and masses that are known.
-
-    Returns
-    -------
-    ports : list of Port
-        Absolute ports in the order of the states, then relative ones.
-    parameters : list of NominalParameter
-        Nonzero stiffness, damping and coefficients, and the input gains.
-    """
-    labels = linear.state_labels
-    # modal coordinates first; physical displacements are what remains
-    modes = find_modes(linear, displacements, tolerance)
-    modal = {state for mode in modes for state in mode.states}
-    displacements = [item for item in displacements if item.state not in modal]
-    velocity = dict(zip(*of_masses(displacements)[:2], strict=True))
-    moving = {state for item in displacements for state in item.ends}
-    # declared masses, by the velocity state
-    known = {
-        velocity.get(i, i): declared.masses[label]
-        for i, label in enumerate(labels)
-        if label in declared.masses
-    }
-    # masses that make stiffness and damping symmetric, then the links between them
-    masses = relative_masses(linear, displacements, tolerance, known)
-    links, open_ = find_links(linear, displacements, masses, tolerance, declared)
-    # ports by state: modes, displacements, then states of their own
-    by_state = {mode.states[0]: mode.port for mode in modes}
-    for item in displacements:
-        by_state[item.state] = _displacement_port(linear, item, masses, open_.get(item.state, ""))
-    own = [i for i in range(linear.n_states) if i not in modal | by_state.keys() | set(velocity.values())]
-    by_state |= {i: _state_port(linear, i, masses, mechanical=i in moving) for i in own}
-    # flows between stores
-    exchange = [
-        _exchange_port(linear, source, sink, masses)
-        for source, sink in exchanging(linear.A, [i for i in own if i not in moving], tolerance)
-    ]
-    shunts = [_shunt_port(linear, item) for item in displacements if _is_voltage(linear, item, declared)]
-    parameters = _read_parameters(linear, displacements, by_state, [*modes, *links], masses, tolerance)
-    return [
-        *(by_state[i] for i in sorted(by_state)),
-        *(link.port for link in links),
-        *exchange,
-        *shunts,
-    ], parameters
-
-
-def _read_parameters(
-    linear: LinearModel,
-    displacements: Sequence[Displacement],
-    by_state: Mapping[int, Port],
-    elements: Sequence[Element],
-    masses: MassScale,
-    tolerance: float,
-) -> list[NominalParameter]:
+def find_parameters(found: Incidence, by_state: Mapping[int, Port]) -> list[NominalParameter]:
     """Return stiffness and damping by place, entries of A, and input gains.
 
     The links are taken off a copy of A, then springs and dampers to the ground. What is left over
     (first-order states, one-way couplings) is listed entry by entry.
     """
+    linear, masses = found.linear, found.masses
     # subtract the links from a copy of [A B]
-    rest = _Rest(linear, tolerance)
+    rest, elements = _Rest(found), [*found.modes, *found.links]
     for element in elements:
-        rest.off(element.port, Stiffness.name, element.stiffness)
-        rest.off(element.port, Damping.name, element.damping)
+        rest.subtract(element.port, Stiffness.name, element.stiffness)
+        rest.subtract(element.port, Damping.name, element.damping)
         rest.left[list(element.states)] = 0.0  # rows of a mode are explained
-    velocity = dict(zip(*of_masses(displacements)[:2], strict=True))
-    if not all(element.states for element in elements):
-        rest.round_off(velocity)
+    if found.links:
+        rest.round_off(found.velocity)
     # springs and dampers of elongations
-    for item in displacements:
+    for item in found.physical:
         if not item.absolute:
             rest.take_elongation(by_state[item.state], item)
     # springs and dampers to the ground
-    for state, row in velocity.items():
+    for state, row in found.velocity.items():
         rest.take(by_state[state], Stiffness.name, row, state)
         rest.take(by_state[state], Damping.name, row, row)
     if masses.shared:
@@ -171,67 +138,69 @@ def _read_parameters(
     for i, port in by_state.items():
         if port.kind == "mechanical" and not port.has_position:
             rest.take(port, Damping.name, i, i)
-    rest.left[[item.state for item in displacements]] = 0.0  # kinematic rows
+    rest.left[[item.state for item in found.physical]] = 0.0  # kinematic rows
     # zero losses of a physical structure, then the entries that are left over
-    parameters = rest.found + _lossless(linear, by_state, elements, rest.found, tolerance)
-    for i, j in np.argwhere(rest.left[:, : linear.n_states]).tolist():
-        place = f"A[{i},{j}]"
-        parameters.append(NominalParameter(place, float(linear.A[i, j]), "", Entry.name, place, False))
+    places = {port.name: port for port in [*(e.port for e in elements), *by_state.values()]}
+    zeros = _lossless(found, list(places.values()), elements, rest.found)
     # a gain for each input, except the acceleration of the base
-    for label, base, column in zip(linear.input_labels, masses.base_acceleration, linear.B.T, strict=True):
-        if column.any() and not base:
-            parameters.append(NominalParameter(f"gain[{label}]", 1.0, "1", InputGain.name, label, False))
-    return parameters
+    drives = linear.B.any(axis=0) & (masses.base_acceleration == 0)
+    gains = [
+        NominalParameter(f"gain[{label}]", 1.0, "1", InputGain.name, label, False)
+        for label, is_driven in zip(linear.input_labels, drives, strict=True)
+        if is_driven
+    ]
+    return [*rest.found, *zeros, *_entries("A", linear.A, rest.left[:, : linear.n_states] != 0), *gains]
+
+
+def _entries(name: str, values: Array, listed: Any) -> list[NominalParameter]:
+    """Return the listed entries of a matrix as parameters."""
+    return [
+        NominalParameter(place := f"{name}[{i},{j}]", float(values[i, j]), "", Entry.name, place, False)
+        for i, j in np.argwhere(listed).tolist()
+    ]
 
 
 def _lossless(
-    linear: LinearModel,
-    by_state: Mapping[int, Port],
-    elements: Sequence[Element],
-    found: Sequence[NominalParameter],
-    tolerance: float,
+    found: Incidence, ports: Sequence[Port], elements: Sequence[Element], known: Sequence[NominalParameter]
 ) -> list[NominalParameter]:
     """Return the losses of a physical structure that are zero in the model.
 
     They are the damping beside a spring, the friction of a body that no link holds, and the loss of a store
     that others act back on. Where nothing brings back what moves, as in an integrator, there is none.
     """
-    A = significant(linear.A, tolerance)
-    if not len(A):
-        return []
+    A = found.A
     # states on which the force of a link acts
-    linked = np.any([e.port.act for e in elements], axis=0) if elements else np.zeros(len(A), dtype=bool)
+    linked = np.any([e.port.act for e in elements] or [np.zeros(len(A))], axis=0)
     # rows such as x1' = x2 are kinematics
-    kinematic = (np.count_nonzero(A, axis=1) == 1) & (np.abs(A).max(axis=1) == 1.0) & ~linear.B.any(axis=1)
-    kinds = {(q.kind, q.place) for q in found}
-    zero = []
-    for port in {p.name: p for p in [*(e.port for e in elements), *by_state.values()]}.values():
+    one = (np.count_nonzero(A, axis=1) == 1) & (np.abs(A).max(axis=1, initial=0.0) == 1.0)
+    kinematic = one & ~found.linear.B.any(axis=1)
+    kinds, zero = {(q.kind, q.place) for q in known}, []
+    for port in ports:
         if port.kind == "mechanical":
             isolated = not (linked & (port.act != 0)).any()
         else:
             isolated = not port.velocity @ A @ port.act and not kinematic[port.velocity != 0].any()
         # a spring without damper, or a body without friction, whose motion comes back
-        sprung = (Stiffness.name, port.name) in kinds
         if (Damping.name, port.name) not in kinds and (
-            sprung or (isolated and rate_at(A, port.act, port.velocity))
+            (Stiffness.name, port.name) in kinds or (isolated and rate_at(A, port.act, port.velocity))
         ):
             zero.append(NominalParameter(f"c[{port.name}]", 0.0, "", Damping.name, port.name, False))
     return zero
 
 
-def _displacement_port(linear: LinearModel, item: Displacement, masses: MassScale, open_: str) -> Port:
-    """Return the port of a displacement of a mass, or of an elongation.
-
-    `open_` says what is unknown about its links.
-    """
+def _displacement_port(found: Incidence, item: Displacement) -> Port:
+    """Return the port of a displacement of a mass, or of an elongation."""
+    linear, masses = found.linear, found.masses
     label, nothing = linear.state_labels[item.state], np.zeros(linear.n_inputs)
     speed = " and ".join(linear.state_labels[state] for state in item.ends)
     what = f"displacement {label}, velocity" if item.absolute else f"elongation {label}, pulls on"
     words = [f"{what} {speed}", *dict.fromkeys(masses.origin[state] for state in item.ends)]
+    if item.state in found.ambiguous:
+        words.append(found.ambiguous[item.state])
     return port_at(
         linear,
         label,
-        "; ".join([*words, open_] if open_ else words),
+        "; ".join(words),
         masses.act(item.ends),
         {state: weight * item.scale for state, weight in item.ends.items()},
         {item.state: 1.0},
@@ -240,17 +209,18 @@ def _displacement_port(linear: LinearModel, item: Displacement, masses: MassScal
     )
 
 
-def _state_port(linear: LinearModel, i: int, masses: MassScale, *, mechanical: bool) -> Port:
+def _state_port(found: Incidence, i: int) -> Port:
     """Return the port of a state that is its own place.
 
     The state is a store, or the speed of a mass without displacement.
     """
-    label, act = linear.state_labels[i], masses.act({i: 1.0})
-    if mechanical:
-        words, base = f"speed {label}; {masses.origin[i]}", masses.base_acceleration
+    linear, masses = found.linear, found.masses
+    label, origin, act = linear.state_labels[i], masses.origin[i], masses.act({i: 1.0})
+    if i in found.moving:
+        words, base = f"speed {label}; {origin}", masses.base_acceleration
         return port_at(linear, label, words, act, {i: 1.0}, acceleration_input=base)
     return port_at(
-        linear, label, f"state {label}; {_storage_words(masses.origin[i])}", act, {i: 1.0}, kind="first_order"
+        linear, label, f"state {label}; {_storage_words(origin)}", act, {i: 1.0}, kind="first_order"
     )
 
 
@@ -258,15 +228,15 @@ def _storage_words(origin: str) -> str:
     return origin.replace("mass", "storage").replace("forces are", "flows are")
 
 
-def _is_voltage(linear: LinearModel, item: Displacement, declared: Declared) -> bool:
+def _is_voltage(found: Incidence, item: Displacement) -> bool:
     """Return whether a state is the voltage of a capacitor between currents.
 
     Its declared unit decides, otherwise the names of the states.
     """
-    label = linear.state_labels[item.state]
-    ends = [linear.state_labels[i] for i in (item.moving, item.other) if i is not None]
-    if label in declared.units:
-        return declared.units[label] == "V"
+    labels, units = found.linear.state_labels, found.declared.units
+    label, ends = labels[item.state], [labels[i] for i in item.ends]
+    if label in units:
+        return units[label] == "V"
     return label[0] in "vVuU" and all(end[0] in "iI" for end in ends)
 
 
@@ -281,12 +251,13 @@ def _shunt_port(linear: LinearModel, item: Displacement) -> Port:
     return port_at(linear, f"shunt {label}", words, act, {item.state: 1.0}, kind="first_order")
 
 
-def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScale) -> Port:
+def _exchange_port(found: Incidence, source: int, sink: int) -> Port:
     """Return the port between two stores.
 
     It is an exchange in both directions (temperatures) or a flow (tanks).
     """
-    A, (one, two) = linear.A, (linear.state_labels[i] for i in (source, sink))
+    linear, masses, A = found.linear, found.masses, found.linear.A
+    one, two = (linear.state_labels[i] for i in (source, sink))
     # both ways: the force is on the difference of the states
     if A[source, sink] > 0:
         name, words = f"{one}-{two}", f"exchange between {one} and {two}, driven by their difference"
@@ -305,11 +276,11 @@ def _exchange_port(linear: LinearModel, source: int, sink: int, masses: MassScal
 class _Rest:
     """Remainder of [A B] while links are subtracted."""
 
-    def __init__(self, linear: LinearModel, tolerance: float) -> None:
-        B, self.scale = np.abs(linear.B), np.abs(np.hstack([linear.A, linear.B]))
-        # entries of B that are rounding count as zero
-        driven = np.where(B > tolerance * B.max(axis=0, initial=0.0), linear.B, 0.0)
-        self.left = np.hstack([significant(linear.A, tolerance), driven])
+    def __init__(self, found: Incidence) -> None:
+        B = found.linear.B
+        self.scale = np.abs(np.hstack([found.linear.A, B]))
+        # entries that are rounding count as zero
+        self.left = np.hstack([found.A, np.where(found.driven, B, 0.0)])
         self.found: list[NominalParameter] = []
 
     def take(self, port: Port, kind: str, row: int, column: int) -> None:
@@ -318,9 +289,9 @@ class _Rest:
         Its contribution to all entries is subtracted.
         """
         if abs(self.left[row, column]) > _LEFT * self.scale[row, column]:
-            sensed = _sensor_row(port, kind)
+            sensed = sensor_row(port, spring=kind == Stiffness.name)
             # coefficient = rest of the entry / (act * sensed)
-            self.off(port, kind, float(self.left[row, column] / (port.act[row] * sensed[column])))
+            self.subtract(port, kind, float(self.left[row, column] / (port.act[row] * sensed[column])))
 
     def take_elongation(self, port: Port, item: Displacement) -> None:
         """Find spring and damper of a link whose elongation is a state.
@@ -343,39 +314,20 @@ class _Rest:
             rounded[[row, own]] &= left[[row, own]] > 0  # a soft spring to the ground may be there
             left[rounded] = 0.0
 
-    def off(self, port: Port, kind: str, value: float) -> None:
+    def subtract(self, port: Port, kind: str, value: float) -> None:
         """Enter a coefficient, and take its part off."""
         if value:
             name = f"{'k' if kind == Stiffness.name else 'c'}[{port.name}]"
             self.found.append(NominalParameter(name, float(value), "", kind, port.name, False))
             # subtract coefficient * act sensed' from all entries
-            self.left -= value * np.outer(port.act, _sensor_row(port, kind))
+            self.left -= value * np.outer(port.act, sensor_row(port, spring=kind == Stiffness.name))
             self.left[np.abs(self.left) <= _LEFT * self.scale] = 0.0
 
 
-def _sensor_row(port: Port, kind: str) -> Array:
-    """Return the row over states and inputs that a spring or damper senses."""
-    if kind == Stiffness.name:
-        return np.concatenate([port.position, port.position_input])
-    return np.concatenate([port.velocity, port.velocity_input])
-
-
-def find_rate_sensors(linear: LinearModel, displacements: Sequence[Displacement], tolerance: float) -> Array:
+def find_rate_sensors(found: Incidence) -> Array:
     """Find the outputs that read rates of velocity states (accelerometers).
 
-    Parameters
-    ----------
-    linear : LinearModel
-        Continuous-time model.
-    displacements : sequence of Displacement
-        Its displacement states.
-    tolerance : float
-        Relative size below which an entry counts as zero.
-
-    Returns
-    -------
-    ndarray of shape (n_y, n)
-        Ca with C = Ca A for the outputs that are accelerations, zero rows for others.
+    The result is Ca (n_y, n) with C = Ca A for the outputs that are accelerations, zero rows for others.
 
     Notes
     -----
@@ -385,10 +337,10 @@ def find_rate_sensors(linear: LinearModel, displacements: Sequence[Displacement]
     part of the input must agree).
     """
     # rows of the velocity states
-    rows = sorted({state for item in displacements for state in item.ends})
+    linear, rows = found.linear, sorted({state for item in found.displacements for state in item.ends})
     rate = np.zeros((linear.n_outputs, linear.n_states))
     for y, (c, d) in enumerate(zip(linear.C, linear.D, strict=True)):
-        weights = _rate_weights(linear, rows, c, d, tolerance)
+        weights = _rate_weights(linear, rows, c, d, found.tolerance)
         if weights is not None:
             rate[y, rows] = weights
     return rate
@@ -398,12 +350,10 @@ def _rate_weights(linear: LinearModel, rows: list[int], c: Array, d: Array, tole
     if not rows or not c.any():
         return None
     A, B = linear.A[rows], linear.B[rows]
-    candidates: list[Array] = []
-    for index, row in enumerate(A):  # first candidates: an accelerometer at one mass
-        if row.any():
-            weights = np.zeros(len(rows))
-            weights[index] = (c @ row) / (row @ row)
-            candidates.append(weights)
+    # first candidates: an accelerometer at one mass
+    candidates = [
+        row_of(len(rows), {index: (c @ row) / (row @ row)}) for index, row in enumerate(A) if row.any()
+    ]
     candidates.sort(key=lambda weights: abs(abs(weights).max() - 1.0))
     # any combination of these rows, by least squares
     candidates.append(np.asarray(np.linalg.lstsq(A.T, c, rcond=None)[0], dtype=np.float64))
@@ -421,12 +371,12 @@ def _rate_weights(linear: LinearModel, rows: list[int], c: Array, d: Array, tole
         shorter = used.size < np.count_nonzero(np.abs(c) > tolerance * np.abs(c).max())
         # accept it if D agrees, or if it is the shorter description of the row
         if agrees or (unit and (shorter or used.size == 1)) or (damped and shorter):
-            return np.asarray(weights, dtype=np.float64)
+            return weights
     return None
 
 
 def find_meters(
-    linear: LinearModel, rate: Array, ports: Sequence[Port], parameters: Sequence[NominalParameter]
+    found: Incidence, rate: Array, ports: Sequence[Port], parameters: Sequence[NominalParameter]
 ) -> tuple[Array, list[Port], list[NominalParameter]]:
     """Find the sensors that read the force at a port.
 
@@ -434,8 +384,8 @@ def find_meters(
 
     Parameters
     ----------
-    linear : LinearModel
-        Continuous-time model.
+    found : Incidence
+        Model and what was found in it.
     rate : ndarray of shape (n_y, n)
         What its outputs may read of rates of velocity states.
     ports : sequence of Port
@@ -461,44 +411,63 @@ def find_meters(
     bear names, for a transfer function of unit gain looks like that.
     An accelerometer at a mass that only that link holds reads the same force over the mass.
     """
-    rate, read_at = rate.copy(), dict[str, list[tuple[int, float]]]()
-    for y in range(0 if is_companion(linear.A, 1e-9) else linear.n_outputs):
+    linear, rate, read_at = found.linear, rate.copy(), dict[str, dict[int, float]]()
+    forces = _forces(found, ports, parameters)
+    for y in range(linear.n_outputs):
         # an accelerometer at one mass stays what it is
         if np.count_nonzero(rate[y]) == 1 and np.isclose(np.abs(rate[y]).max(), 1.0, rtol=_SAME):
             continue
-        row = np.concatenate([linear.C[y], linear.D[y]])
         # ports whose force this output reads
-        read = [(p.name, scale) for p in ports if (scale := _scale(linear, row, p, parameters))]
+        row = np.concatenate([linear.C[y], linear.D[y]])
+        read = [(name, scale) for name, force in forces.items() if (scale := _reading(row, *force))]
         if len(read) == 1 and (not rate[y].any() or abs(read[0][1]) == 1.0):
             rate[y] = 0.0
-            read_at.setdefault(read[0][0], []).append((y, read[0][1]))
-    found, moved = list[Port](), list(parameters)
+            read_at.setdefault(read[0][0], {})[y] = read[0][1]
+    places, moved = list[Port](), list(parameters)
     for port in ports:
-        readings = read_at.get(port.name, [])
+        readings = read_at.get(port.name, {})
         # a port with a load cell, beside the port of the mass itself
-        metered = replace(port, output=row_of(linear.n_outputs, dict(readings))) if readings else port
+        metered = replace(port, output=row_of(linear.n_outputs, readings)) if readings else port
         if readings and np.count_nonzero(port.act) == 1:
-            found.append(port)
-            label = linear.output_labels[readings[0][0]]
+            places.append(port)
+            label = linear.output_labels[min(readings)]
             words = f"{port.description}; its force is read by {label}"
             metered = replace(metered, name=f"{port.name} ({label})", description=words)
             moved = [replace(q, place=metered.name) if q.place == port.name else q for q in moved]
-        found.append(metered)
-    return rate, found, moved
+        places.append(metered)
+    return rate, places, moved
 
 
-def _scale(linear: LinearModel, row: Array, port: Port, parameters: Sequence[NominalParameter]) -> float:
-    """Return the reading of a unit force at a port in an output row.
+def _forces(
+    found: Incidence, ports: Sequence[Port], parameters: Sequence[NominalParameter]
+) -> dict[str, tuple[Array, bool]]:
+    """Return by port the force k d + c v of spring and damper as a row.
 
-    It is 0 if the row does not read that force.
+    The second value is True if a sensor of that force may have another gain than one.
     """
-    k, c = (
-        sum(q.value for q in parameters if q.kind == kind and q.place == port.name)
-        for kind in (Stiffness.name, Damping.name)
-    )
-    # force of spring and damper at the port, k d + c v
-    force = k * _sensor_row(port, Stiffness.name) + c * _sensor_row(port, Damping.name)
-    if port.modal or not force.any() or not row.any():
+    linear, forces = found.linear, {}
+    named = not any(_ANONYMOUS.fullmatch(label) for label in linear.state_labels)
+    for port in () if found.companion else ports:
+        k, c = (
+            sum(q.value for q in parameters if q.kind == kind and q.place == port.name)
+            for kind in (Stiffness.name, Damping.name)
+        )
+        force = k * sensor_row(port, spring=True) + c * sensor_row(port)
+        if port.modal or not force.any():
+            continue
+        # a single number must not be a power of ten, which is a gain
+        both, decades = bool(k and c), np.log10(abs(k or c))
+        if (named or linear.n_states > 2) if both else (named and abs(decades - round(decades)) > _SAME):
+            forces[port.name] = force, both
+    return forces
+
+
+def _reading(row: Array, force: Array, scaled: bool) -> float:
+    """Return the reading of a unit force in an output row, 0 if there is none.
+
+    A force of spring and damper may be `scaled`.
+    """
+    if not row.any():
         return 0.0
     # least-squares factor between the row and that force
     scale = float(row @ force / (force @ force))
@@ -506,35 +475,21 @@ def _scale(linear: LinearModel, row: Array, port: Port, parameters: Sequence[Nom
     if np.any(np.abs(row - scale * force) > _SAME * np.maximum(np.abs(row), np.abs(scale * force))):
         return 0.0
     if abs(abs(scale) - 1.0) <= _SAME:
-        scale = float(np.sign(scale))
-    named = not any(_ANONYMOUS.fullmatch(label) for label in linear.state_labels)
-    if k and c:
-        return scale if named or linear.n_states > 2 else 0.0
-    decades = np.log10(abs(k or c))
-    return scale if abs(scale) == 1.0 and named and abs(decades - round(decades)) > _SAME else 0.0
+        return float(np.sign(scale))
+    return scale if scaled else 0.0
 
 
-def read_weights(
-    linear: LinearModel,
-    rate: Array,
-    displacements: Sequence[Displacement],
-    ports: Sequence[Port],
-    tolerance: float,
-) -> list[NominalParameter]:
+def find_weights(found: Incidence, rate: Array, ports: Sequence[Port]) -> list[NominalParameter]:
     """Entries of B, C and D that are numbers of the plant.
 
     Parameters
     ----------
-    linear : LinearModel
-        Continuous-time model.
+    found : Incidence
+        Model and what was found in it.
     rate : ndarray, shape (n_y, n)
         What its outputs read of rates (accelerometers), which is taken off C and D.
-    displacements : sequence of Displacement
-        Its displacement states.
     ports : sequence of Port
         Its places; what a sensor reads of a force there is no weight.
-    tolerance : float
-        Relative size below which an entry counts as zero.
 
     Returns
     -------
@@ -543,6 +498,7 @@ def read_weights(
         output, which is a gain; and those of an input that is a force at a port, which masses divide.
         Empty where there are more than 60: shapes of many modes, not numbers that somebody measured.
     """
+    linear, tolerance, n = found.linear, found.tolerance, found.linear.n_states
     whole = np.hstack([linear.C, linear.D])
     # outputs without what they read of the rates
     rest = whole - rate @ np.hstack([linear.A, linear.B])
@@ -550,26 +506,23 @@ def read_weights(
     # entries of C and D that count, but no load cells and no single gains
     mixed = np.abs(rest) > tolerance * np.abs(rest).max(axis=1, keepdims=True, initial=0.0)
     mixed[[y for port in ports for y in np.flatnonzero(port.output)]] = False
-    mixed[(mixed.sum(axis=1) == 1) & mixed[:, : linear.n_states].any(axis=1)] = False
-
+    mixed[(mixed.sum(axis=1) == 1) & mixed[:, :n].any(axis=1)] = False
     # entries of B that count, but no kinematics, single gains and plain forces
-    driven = np.abs(linear.B) > tolerance * np.abs(linear.B).max(axis=0, initial=0.0)
-    driven[[item.state for item in displacements]] = False  # kinematic rows
+    driven = found.driven.copy()
+    driven[[item.state for item in found.displacements]] = False  # kinematic rows
     driven[:, driven.sum(axis=0) == 1] = False
-    driven[:, [_enters(linear.B[:, j], ports) for j in range(linear.n_inputs)]] = False
-
-    found = []
-    n = linear.n_states
-    for name, values, which in (
-        ("B", linear.B, driven),
-        ("C", rest[:, :n], mixed[:, :n]),
-        ("D", rest[:, n:], mixed[:, n:]),
-    ):
-        # a weight of one is no number of the plant
-        for i, j in np.argwhere(which & (np.abs(np.abs(values) - 1.0) > tolerance)).tolist():
-            place = f"{name}[{i},{j}]"
-            found.append(NominalParameter(place, float(values[i, j]), "", Entry.name, place, False))
-    return found if len(found) <= _MOST else []
+    driven[:, [_enters(column, ports) for column in linear.B.T]] = False
+    # a weight of one is no number of the plant
+    weights = [
+        entry
+        for name, values, listed in (
+            ("B", linear.B, driven),
+            ("C", rest[:, :n], mixed[:, :n]),
+            ("D", rest[:, n:], mixed[:, n:]),
+        )
+        for entry in _entries(name, values, listed & (np.abs(np.abs(values) - 1.0) > tolerance))
+    ]
+    return weights if len(weights) <= _MOST else []
 
 
 def _enters(column: Array, ports: Sequence[Port]) -> bool:

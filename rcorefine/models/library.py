@@ -21,7 +21,7 @@ from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..systems.linear import Array
 from .conversion import as_physical
-from .displacements import is_companion
+from .incidence import is_companion
 from .physical_model import PhysicalModel
 from .ports import Port
 

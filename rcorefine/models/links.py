@@ -5,15 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..systems.linear import Array, LinearModel
-from .displacements import Displacement, connected, of_masses, significant
-from .masses import MassScale
+from ..systems.linear import Array
+from .incidence import Incidence, Mask, connected
 from .ports import Element, port_at
 
 _ROUNDING = 1e-3  # share of the diagonal that is rounding in entries of four digits
@@ -24,96 +21,86 @@ _SMALL = 1e-12
 _UNEXPLAINED = 0.01  # share of a damping coupling that links of springs must leave to count
 
 Groups = list[list[int]]
+Found = tuple[list[Array], Groups]  # directions of links, and bodies that stay open
 
 
-class Declared(NamedTuple):
-    """Known properties of a plain model, by the names of its signals.
-
-    Parameters
-    ----------
-    links : dict
-        ``{name: {state: weight}}``.
-    units : dict
-        ``{signal: unit}``.
-    masses : dict
-        ``{displacement: mass}``.
-    """
-
-    links: Mapping[str, Mapping[str, float]] = MappingProxyType({})
-    units: Mapping[str, str] = MappingProxyType({})
-    masses: Mapping[str, float] = MappingProxyType({})
-
-
-def find_links(
-    linear: LinearModel,
-    displacements: Sequence[Displacement],
-    masses: MassScale,
-    tolerance: float,
-    declared: Declared,
-) -> tuple[list[Element], dict[int, str]]:
+def find_links(found: Incidence) -> tuple[list[Element], dict[int, str]]:
     """Find the links in the stiffness and damping matrices.
 
     The second value describes, by their state, the displacements whose links stay open.
     """
-    q, v, scale = of_masses(displacements)
-    labels = [linear.state_labels[i] for i in q]
-    A, linked = significant(linear.A, tolerance), masses.linked[np.ix_(v, v)] | np.eye(len(v), dtype=bool)
-    # scale of each pair, the geometric mean of both masses
-    heft = np.sqrt(np.outer(masses.mass[v], masses.mass[v]))
-
-    # accelerations times masses: forces, symmetric by action and reaction
-    def force(X: Array) -> Array:  # symmetric part within linked pairs
-        X = np.asarray(-np.linalg.solve(masses.inverse[np.ix_(v, v)], X), dtype=np.float64)
-        if masses.shared:  # entries smaller than the asymmetry are rounding
-            rounding = ((2.0 * np.abs(X - X.T) + _SMALL * np.abs(X)) / heft).max()
-            X[np.abs(X) <= rounding * heft] = 0.0
-        return np.where(linked, 0.5 * (X + X.T), 0.0)
-
-    # stiffness and damping matrix
-    K, C = force(A[np.ix_(v, q)] * scale), force(A[np.ix_(v, v)])
+    q, _, scale = found.bodies
+    labels = [found.linear.state_labels[i] for i in q]
+    K, C = _forces(found)
     # declared links as directions
     given = {
         name: np.array([weights.get(label, 0.0) for label in labels]) * scale
-        for name, weights in declared.links.items()
+        for name, weights in found.declared.links.items()
         if set(weights) <= set(labels)
     }
     # directions of the links, then their springs and dampers
-    directions, open_ = _directions(K, C, _same_units(labels, declared.units), list(given.values()))
+    alike = _same_units(labels, found.declared.units)
+    directions, open_ = _directions(K, C, alike, list(given.values()))
     springs, dampers = strengths(K, directions, open_), strengths(C, directions, open_)
     links = []
-    # each link as a port, in the unit of one of its displacements
     for g, k, c in zip(directions, springs, dampers, strict=True):
         name = next((name for name, own in given.items() if own is g), "")
-        whole = int(np.argmin(np.abs(np.abs(g / scale if name else g) - 1.0)))
-        size = float(scale[whole])  # unit of the displacement with weight one
-        if name:
-            g, k, c = g / size, size**2 * k, size**2 * c
-        ends = np.flatnonzero(g).tolist()
-        what = weighted({labels[i]: float(g[i]) for i in ends})
-        words = (
-            f"{'between' if len(ends) > 1 else 'at'} {' and '.join(labels[i] for i in ends)}, d = {what}; "
-        )
-        # A_ij / A_ji is the ratio of the masses
-        if len(ends) == 2:
-            one, two = masses.mass[[v[i] for i in ends]]
-            words += f"mass ratio {two / one:.4g} from the symmetry of A; "
-        port = port_at(
-            linear,
-            name or what,
-            words + "; ".join(dict.fromkeys(masses.origin[v[i]] for i in ends)),
-            masses.act({v[i]: g[i] for i in ends}),
-            {v[i]: size * g[i] for i in ends},
-            {q[i]: size * g[i] / scale[i] for i in ends},
-        )
-        links.append(Element(port, float(k) / size, float(c) / size))
+        links.append(_link(found, labels, name, g, k, c))
     words = "the couplings of {} to each other and to the ground are links in more than one way: "
     words += "declare them by physical(system, links=...)"
     return links, {q[i]: words.format(", ".join(labels[j] for j in body)) for body in open_ for i in body}
 
 
-def _directions(
-    K: Array, C: Array, alike: NDArray[np.bool_], given: Sequence[Array]
-) -> tuple[list[Array], Groups]:
+def _forces(found: Incidence) -> list[Array]:
+    """Return the stiffness and the damping matrix of linked masses.
+
+    They are accelerations times masses, symmetric by action and reaction.
+    """
+    (q, v, scale), A, masses = found.bodies, found.A, found.masses
+    own = np.ix_(v, v)
+    linked = masses.linked[own] | np.eye(len(v), dtype=bool)
+    # scale of each pair, the geometric mean of both masses
+    heft = np.sqrt(np.outer(masses.mass[v], masses.mass[v]))
+    forces = []
+    for accelerations in (A[np.ix_(v, q)] * scale, A[own]):
+        X = -np.linalg.solve(masses.inverse[own], accelerations)
+        if masses.shared:  # entries smaller than the asymmetry are rounding
+            rounding = ((2.0 * np.abs(X - X.T) + _SMALL * np.abs(X)) / heft).max()
+            X[np.abs(X) <= rounding * heft] = 0.0
+        # symmetric part within linked pairs
+        forces.append(np.where(linked, 0.5 * (X + X.T), 0.0))
+    return forces
+
+
+def _link(found: Incidence, labels: Sequence[str], name: str, g: Array, k: float, c: float) -> Element:
+    """Return a link of this direction as a port with spring and damper.
+
+    It is in the unit of the displacement with weight one. Declared links have a name.
+    """
+    masses, (q, v, scale) = found.masses, found.bodies
+    size = float(scale[np.argmin(np.abs(np.abs(g / scale if name else g) - 1.0))])
+    if name:
+        g, k, c = g / size, size**2 * k, size**2 * c
+    ends = np.flatnonzero(g).tolist()
+    what = weighted({labels[i]: float(g[i]) for i in ends})
+    joined = " and ".join(labels[i] for i in ends)
+    words = [f"{'between' if len(ends) > 1 else 'at'} {joined}, d = {what}"]
+    # A_ij / A_ji is the ratio of the masses
+    if len(ends) == 2:
+        one, two = masses.mass[[v[i] for i in ends]]
+        words.append(f"mass ratio {two / one:.4g} from the symmetry of A")
+    port = port_at(
+        found.linear,
+        name or what,
+        "; ".join([*words, *dict.fromkeys(masses.origin[v[i]] for i in ends)]),
+        masses.act({v[i]: g[i] for i in ends}),
+        {v[i]: size * g[i] for i in ends},
+        {q[i]: size * g[i] / scale[i] for i in ends},
+    )
+    return Element(port, float(k) / size, float(c) / size)
+
+
+def _directions(K: Array, C: Array, alike: Mask, given: Sequence[Array]) -> Found:
     """Return the directions of all links, and the bodies that stay open.
 
     Links are declared, or found in the rest of stiffness and damping.
@@ -127,15 +114,22 @@ def _directions(
     found += given
     open_ = [body for body in open_ if not any(g[body].any() for g in new)]
     for X, Y, share in ((K, C, _UNEXPLAINED if new else 1.0), (C, K, _UNEXPLAINED)):
-        # rest without links; small entries are rounding
-        rest = X - _weighted_sum(strengths(X, found, open_), found, X)
-        rest[~np.eye(len(X), dtype=bool) & (np.abs(rest) <= share * np.abs(X))] = 0.0
-        for body in open_:
-            rest[np.ix_(body, body)] *= np.eye(len(body))
-        more, also = factors(rest, Y, alike)
+        more, also = factors(_left_over(X, found, open_, share), Y, alike)
         found += [g for g in more if not any(_parallel(g, other) for other in found)]
         open_ = [*open_, *also]
     return sorted(found, key=lambda g: np.flatnonzero(g).tolist()), open_
+
+
+def _left_over(X: Array, directions: Sequence[Array], bodies: Groups, share: float) -> Array:
+    """Return what the links leave of a matrix, without the open bodies.
+
+    Couplings of which no more than a share is left are explained.
+    """
+    rest = X - _weighted_sum(strengths(X, directions, bodies), directions, X)
+    rest[~np.eye(len(X), dtype=bool) & (np.abs(rest) <= share * np.abs(X))] = 0.0
+    for body in bodies:
+        rest[np.ix_(body, body)] *= np.eye(len(body))
+    return rest
 
 
 def _weighted_sum(k: Array, directions: Sequence[Array], like: Array) -> Array:
@@ -143,7 +137,7 @@ def _weighted_sum(k: Array, directions: Sequence[Array], like: Array) -> Array:
     return sum((one * np.outer(g, g) for one, g in zip(k, directions, strict=True)), np.zeros_like(like))
 
 
-def _same_units(labels: Sequence[str], units: Mapping[str, str]) -> NDArray[np.bool_]:
+def _same_units(labels: Sequence[str], units: Mapping[str, str]) -> Mask:
     """Return for each pair of displacements whether the units are the same.
 
     Declared units decide. Otherwise the names distinguish angles from lengths.
@@ -165,7 +159,7 @@ def weighted(terms: Mapping[str, float]) -> str:
     return text
 
 
-def factors(K: Array, C: Array, alike: NDArray[np.bool_]) -> tuple[list[Array], Groups]:
+def factors(K: Array, C: Array, alike: Mask) -> Found:
     """Return the directions g of the links in a stiffness or damping matrix.
 
     The matrix is K = sum of k g g' + (springs to the ground).
@@ -232,10 +226,10 @@ def _pairs(K: Array, sizes: Array) -> list[Array]:
 
 
 def _comparison(K: Array) -> Array:
-    return np.asarray(2.0 * np.diag(np.diag(K)) - np.abs(K))
+    return 2.0 * np.diag(np.diag(K)) - np.abs(K)
 
 
-def _differences(K: Array, alike: NDArray[np.bool_]) -> list[Array]:
+def _differences(K: Array, alike: Mask) -> list[Array]:
     """Return x_i - x_j for each coupling, or nothing.
 
     There is nothing if springs to the ground do not explain the rest of K.
@@ -313,11 +307,11 @@ def strengths(K: Array, directions: Sequence[Array], bodies: Sequence[Sequence[i
         outer = np.vstack([outer, (G[:, corner] ** 2 / size[corner] ** 2).T])
         target = np.append(target, K[corner, corner] / size[corner] ** 2)
     # least squares
-    k = np.asarray(np.linalg.lstsq(outer, target, rcond=1e-9)[0])
+    k = np.linalg.lstsq(outer, target, rcond=1e-9)[0]
     return np.where(np.abs(k) > 1e-7 * np.abs(k).max(initial=0.0), k, 0.0)
 
 
-def couplings(K: Array) -> NDArray[np.bool_]:
+def couplings(K: Array) -> Mask:
     """Which displacements are coupled."""
     size = np.sqrt(np.abs(np.diag(K)))
     coupled = np.abs(K) > 1e-9 * np.outer(size, size)
@@ -339,7 +333,7 @@ def unit(g: Array) -> Array:
     return np.asarray(np.where(np.abs(np.abs(scaled) - 1.0) < _ROUNDING, np.sign(scaled), scaled))
 
 
-def between_bodies(K: Array, C: Array, alike: NDArray[np.bool_]) -> tuple[list[Array], Groups]:
+def between_bodies(K: Array, C: Array, alike: Mask) -> Found:
     """Return the links between bodies and to the ground, and open bodies.
 
     Of all groupings of the displacements into bodies, the one that needs the fewest links is used.
@@ -403,14 +397,24 @@ def _partitions(items: list[int]) -> Iterator[Groups]:
             yield [*rest[:k], [items[0], *group], *rest[k + 1 :]]
 
 
-def _link_bodies(
-    K: Array, C: Array, groups: Groups, alike: NDArray[np.bool_]
-) -> tuple[int, list[Array], Groups] | None:
-    """Return cost, links and open bodies of one grouping, or None.
+class _Coupling(NamedTuple):
+    """Coupling of rank one between two bodies, size * outer(u, w)."""
 
-    None means that the grouping does not explain K.
-    """
-    ends: list[tuple[int, int, Array, Array, float]] = []
+    one: int
+    two: int
+    u: Array
+    w: Array
+    size: float
+
+    def block(self, body: int, t: float) -> Array:
+        """Stiffness of a body by a link of squared length ratio t of the ends."""
+        one = body == self.one
+        return self.size * t * np.outer(self.u, self.u) if one else self.size / t * np.outer(self.w, self.w)
+
+
+def _coupled_bodies(K: Array, groups: Groups) -> list[_Coupling] | None:
+    """Return the couplings between bodies, None if one is no single link."""
+    found = []
     for a, b in combinations(range(len(groups)), 2):
         block = K[np.ix_(groups[a], groups[b])]
         if not block.any():
@@ -419,27 +423,35 @@ def _link_bodies(
         U, s, V = np.linalg.svd(block)
         if s.size > 1 and s[1] > _ROUNDING * s[0]:
             return None
-        ends.append((a, b, U[:, 0], V[0], float(s[0])))
-    share = _shares(K, groups, ends, alike)
-    if share is None:
+        found.append(_Coupling(a, b, U[:, 0], V[0], float(s[0])))
+    return found
+
+
+def _link_bodies(K: Array, C: Array, groups: Groups, alike: Mask) -> tuple[int, list[Array], Groups] | None:
+    """Return cost, links and open bodies of one grouping, or None.
+
+    None means that the grouping does not explain K.
+    """
+    ends = _coupled_bodies(K, groups)
+    share = None if ends is None else _shares(K, groups, ends, alike)
+    if ends is None or share is None:
         return None
     # subtract the links from the blocks of the bodies
-    links, left = [], {a: K[np.ix_(group, group)].copy() for a, group in enumerate(groups)}
-    for (a, b, u, w, k), t in zip(ends, share, strict=True):
-        g = np.zeros(len(K))
-        g[groups[a]], g[groups[b]] = np.sqrt(t) * u, w / np.sqrt(t)
+    links, left = [], [K[np.ix_(group, group)].copy() for group in groups]
+    for end, t in zip(ends, share, strict=True):
+        g, (a, b) = np.zeros(len(K)), end[:2]
+        g[groups[a]], g[groups[b]] = np.sqrt(t) * end.u, end.w / np.sqrt(t)
         links.append(_scale(g, groups[a], groups[b]))
-        left[a] -= k * t * np.outer(u, u)
-        left[b] -= k / t * np.outer(w, w)
+        for body in (a, b):
+            left[body] -= end.block(body, t)
     price = len(links)
     open_: Groups = []
     # damping that these links do not explain
     rest = C - _weighted_sum(strengths(C, links, groups), links, C)
-    for a, group in enumerate(groups):
-        size = np.abs(K[group, group]).max()
-        part = np.ix_(group, group)
+    for group, block in zip(groups, left, strict=True):
+        size, part = np.abs(K[group, group]).max(), np.ix_(group, group)
         # springs of each body to the ground
-        own = _ground_springs(left[a], rest[part], size, paired=len(K) > 2 or not alike[part].all())
+        own = _ground_springs(block, rest[part], size, paired=len(K) > 2 or not alike[part].all())
         if own is None:
             return None
         price += own[0]
@@ -465,49 +477,54 @@ def _scale(g: Array, one: Sequence[int], two: Sequence[int]) -> Array:
     return unit(g)
 
 
-def _shares(
-    K: Array, groups: Groups, ends: Sequence[tuple[int, int, Array, Array, float]], alike: NDArray[np.bool_]
-) -> list[float] | None:
+def _shares(K: Array, groups: Groups, ends: Sequence[_Coupling], alike: Mask) -> list[float] | None:
     """Return the squared length ratio of the two ends of each link.
 
     Bodies with equally many displacements of the same unit are linked by differences: their ratio is one.
     Otherwise the couplings inside the larger body determine the ratio.
     """
-    # share of both ends in a link, 1 for bodies of the same size
-    share: list[float | None] = [
-        1.0 if len(groups[a]) == len(groups[b]) and alike[groups[a][0], groups[b][0]] else None
-        for a, b, *_ in ends
-    ]
-    for a, group in enumerate(groups):
-        mine = [
-            e
-            for e, end in enumerate(ends)
-            if share[e] is None
-            and a in end[:2]
-            and len(group) >= len(groups[end[1] if end[0] == a else end[0]])
-        ]
-        if not mine:
-            continue
-        # what known links leave of the block of the body
-        rest = K[np.ix_(group, group)].copy()
-        for e, (one, two, u, w, s) in enumerate(ends):
-            known = share[e]
-            if known is not None and a in (one, two):
-                rest -= s * (known * np.outer(u, u) if a == one else np.outer(w, w) / known)
-        vectors = [ends[e][2] if ends[e][0] == a else ends[e][3] for e in mine]
-        columns = [ends[e][4] * np.outer(v, v) for e, v in zip(mine, vectors, strict=True)]
-        outer = np.array([column.ravel() for column in columns]).T
-        if len(mine) >= len(group) * (len(group) + 1) // 2 or np.linalg.matrix_rank(outer, 1e-6) < len(mine):
-            return None  # too few equations to test the grouping
-        # shares of the others by least squares; they must be positive and fit
-        parts = np.linalg.lstsq(outer, rest.ravel(), rcond=None)[0]
-        if (parts <= 0).any() or np.abs(outer @ parts - rest.ravel()).max() > _ROUNDING * np.abs(
-            K[group, group]
-        ).max():
+    share: dict[int, float] = {}
+    for e, end in enumerate(ends):
+        one, two = groups[end.one], groups[end.two]
+        if len(one) == len(two) and alike[one[0], two[0]]:
+            share[e] = 1.0
+    for body, group in enumerate(groups):
+        more = _body_shares(body, K[np.ix_(group, group)], groups, ends, share)
+        if more is None:
             return None
-        for e, t in zip(mine, parts, strict=True):
-            share[e] = float(t if ends[e][0] == a else 1.0 / t)
-    return None if any(t is None for t in share) else [t for t in share if t is not None]
+        share |= more
+    return [share[e] for e in range(len(ends))] if len(share) == len(ends) else None
+
+
+def _body_shares(
+    body: int, block: Array, groups: Groups, ends: Sequence[_Coupling], share: Mapping[int, float]
+) -> dict[int, float] | None:
+    """Return the ratios that the block of a body determines.
+
+    The result is None if they do not explain it, or if it has too few entries to test that.
+    """
+    # links to bodies that are not larger; the other end of one is one + two - body
+    mine = [
+        e
+        for e, end in enumerate(ends)
+        if e not in share and body in end[:2] and len(groups[body]) >= len(groups[end.one + end.two - body])
+    ]
+    if not mine:
+        return {}
+    # what known links leave of the block
+    rest, n = block.copy(), len(block)
+    for e in sorted(share):
+        if body in ends[e][:2]:
+            rest -= ends[e].block(body, share[e])
+    outer = np.array([ends[e].block(body, 1.0).ravel() for e in mine]).T
+    if len(mine) >= n * (n + 1) // 2 or np.linalg.matrix_rank(outer, 1e-6) < len(mine):
+        return None
+    # the others by least squares; they must be positive and fit
+    parts = np.linalg.lstsq(outer, rest.ravel(), rcond=None)[0]
+    misfit = np.abs(outer @ parts - rest.ravel()).max()
+    if (parts <= 0).any() or misfit > _ROUNDING * np.abs(np.diag(block)).max():
+        return None
+    return {e: float(t if ends[e].one == body else 1.0 / t) for e, t in zip(mine, parts, strict=True)}
 
 
 def _ground_springs(K: Array, C: Array, size: float, *, paired: bool) -> tuple[int, list[Array], bool] | None:

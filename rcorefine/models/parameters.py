@@ -20,6 +20,7 @@ from ..effects.springs import Stiffness
 from ..exceptions import ModelError
 from ..results import Row
 from ..systems.linear import Array, entry_of
+from .ports import sensor_row
 
 if TYPE_CHECKING:
     from .physical_model import PhysicalModel
@@ -268,10 +269,10 @@ class _Responses:
                 act = np.eye(linear.n_states + linear.n_outputs)[row]
                 sense = np.eye(linear.n_states + linear.n_inputs)[column]
             else:
-                port, spring = self.model.port(q.place), q.kind == Stiffness.name
-                d = (port.position, port.position_input) if spring else (port.velocity, port.velocity_input)
+                port = self.model.port(q.place)
                 felt = port.output if port.output.size else np.zeros(linear.n_outputs)
-                act, sense = np.concatenate([port.act, felt]), np.concatenate(d)
+                act = np.concatenate([port.act, felt])
+                sense = sensor_row(port, spring=q.kind == Stiffness.name)
             # dG = C (s I - A)^-1 act * sense (s I - A)^-1 B
             changed = (q.value or 1.0) * (self.outputs @ act)[:, :, None] * (sense @ self.inputs)[:, None, :]
         flat = (changed * self.scale).reshape(-1)

@@ -186,9 +186,9 @@ class PhysicalModel(Result):
         >>> [(item.name, float(item.value)) for item in PhysicalModel.from_statespace(sys).parameters]
         [('k[q]', 4.0), ('c[q]', 1.0), ('gain[u[0]]', 1.0)]
         """
-        from .detection import recognized
+        from .detection import recognize
 
-        return cls(**recognized(sys, dt))
+        return recognize(cls, sys, dt)
 
     def held(self, data: Measurement) -> Measurement:
         """The record as this model takes its inputs between the samples.

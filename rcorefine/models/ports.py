@@ -206,7 +206,13 @@ def felt(port: Port, output_rate: Array) -> Array:
     """
     # an accelerometer reads the rates that the force changes
     at_once = output_rate @ port.act
-    return np.asarray(at_once + port.output if port.output.size else at_once)
+    return at_once + port.output if port.output.size else at_once
+
+
+def sensor_row(port: Port, *, spring: bool = False) -> Array:
+    """Row over states and inputs that a damper senses at a port, or a spring."""
+    rows = port.velocity, port.velocity_input
+    return np.concatenate((port.position, port.position_input) if spring else rows)
 
 
 class Element(NamedTuple):

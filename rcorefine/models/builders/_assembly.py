@@ -17,6 +17,7 @@ from ..ports import Port
 from ._equations import Given, as_index, as_indices, built, refuse_twice
 
 _SENSORS = "a quantity, a pair (quantity, mass) or a list of these"
+Units = dict[str, str]  # of motions, force and coefficients by name
 _LETTER = {"displacement": "q", "velocity": "v", "acceleration": "a", "force": "f"}
 
 
@@ -45,22 +46,18 @@ class Sensor(NamedTuple):
     reads: str = ""
 
 
-class Units(dict[str, str]):
-    """Units of motions, force and coefficients by name."""
-
-    @classmethod
-    def of(cls, position: str, force: str) -> Units:
-        """Units that follow from those of displacement and force."""
-        given = {"position": as_text(position, "position_unit"), "force": as_text(force, "force_unit")}
-        rules = {
-            "displacement": "position",
-            "velocity": "position/s",
-            "acceleration": "position/s^2",
-            "stiffness": "force/position",
-            "damping": "force s/position",
-            "mass": "force s^2/position",
-        }
-        return cls({**given, **{key: combine_units(rule, given) for key, rule in rules.items()}})
+def units_of(position: str, force: str) -> Units:
+    """Units that follow from those of displacement and force."""
+    given = {"position": as_text(position, "position_unit"), "force": as_text(force, "force_unit")}
+    rules = {
+        "displacement": "position",
+        "velocity": "position/s",
+        "acceleration": "position/s^2",
+        "stiffness": "force/position",
+        "damping": "force s/position",
+        "mass": "force s^2/position",
+    }
+    return given | {key: combine_units(rule, given) for key, rule in rules.items()}
 
 
 class InputMap(NamedTuple):
@@ -155,14 +152,6 @@ def second_order(
     signals = inputs, {label: s.unit for label, s in sensors.items()}, states
     readout = state, rate, direct
     return built((A, B), readout, options.given, units=signals, ports=ports, parameters=parameters)
-
-
-def unit_vector(size: int, *entries: tuple[int, float]) -> Array:
-    """Vector of zeros but for the given entries."""
-    vector = np.zeros(size)
-    for index, value in entries:
-        vector[index] = value
-    return vector
 
 
 def parse_sensors(

@@ -18,6 +18,7 @@ from ...exceptions import ModelError
 from ...systems.linear import Array
 from ..parameters import NominalParameter
 from ..physical_model import PhysicalModel
+from ..ports import row_of
 from ._assembly import (
     BuilderArguments,
     InputMap,
@@ -27,10 +28,11 @@ from ._assembly import (
     input_map,
     parse_sensors,
     second_order,
-    unit_vector,
+    units_of,
 )
 from ._equations import as_index, as_vector
 
+Names = dict[tuple[int, ...], str]  # places by the numbers of their masses
 _SHIFT = 1e-8  # shift below zero over the median of K_ii / M_ii
 _DENSE = 200  # displacements up to which a dense solver is as fast
 _SAME = 1e-6  # relative difference of squared frequencies that is rounding
@@ -126,11 +128,8 @@ def mass_spring_damper(
     damping, stiffness = (np.pad(values, (0, count - values.size)) for values in given.values())
     # places: links between neighbors, then the masses themselves
     links = [_chain_link(n, i) for i in range(count)]
-    points = [
-        Place(f"mass{i + 1}", row, f"mass {i + 1} itself (d = q{i + 1})", True)
-        for i, row in enumerate(np.eye(n))
-    ]
-    units = Units.of(position_unit, force_unit)
+    points = _points(n, "mass")
+    units = units_of(position_unit, force_unit)
     options = BuilderArguments(excitation, "force", force, sensors, units, (inputs, outputs, states, name))
     # nominal parameters at their places
     parameters = [
@@ -148,10 +147,18 @@ def mass_spring_damper(
     return assembled(structure, [*links, *points], parameters, options)
 
 
+def _points(n: int, what: str) -> list[Place]:
+    """Return the places of the masses themselves."""
+    return [
+        Place(f"mass{i + 1}", row, f"{what} {i + 1} itself (d = q{i + 1})", True)
+        for i, row in enumerate(np.eye(n))
+    ]
+
+
 def _chain_link(n: int, i: int) -> Place:
     """Elongation of link i + 1 of a chain of n masses."""
     # d = q_(i+1) - q_i; the ground has no coordinate
-    row = unit_vector(n, (min(i, n - 1), 1.0), *[(i - 1, -1.0)] * (0 < i < n))
+    row = row_of(n, {min(i, n - 1): 1.0} | ({i - 1: -1.0} if 0 < i < n else {}))
     if i == 0:
         words = "between the ground and mass 1 (d = q1)"
     elif i < n:
@@ -258,7 +265,7 @@ def mechanical(
     >>> [round(q.value**0.5 / np.pi, 3) for q in bar.parameters if q.kind == "stiffness"]
     [0.0, 1.0, 2.0]
     """
-    units = Units.of(position_unit, force_unit)
+    units = units_of(position_unit, force_unit)
     options = BuilderArguments(
         excitation, "force_map", force_map, sensors, units, (inputs, outputs, states, name)
     )
@@ -292,11 +299,9 @@ def mechanical(
         damping = nothing if damping_ratio is None else _modal_damping(mass, stiffness, damping_ratio)
     # places: coupled pairs or those of the user, then the displacements themselves
     places, pairs = _coupled_links(stiffness, listed) if links is None else _user_links(links, n)
-    points = [
-        Place(f"mass{i + 1}", row, f"displacement {i + 1} itself (d = q{i + 1})", True)
-        for i, row in enumerate(np.eye(n))
-    ]
-    parameters = _link_parameters(mass, listed, stiffness, pairs, options.units)
+    points = _points(n, "displacement")
+    names = {(i,): point.name for i, point in enumerate(points)} | pairs
+    parameters = _link_parameters(mass, listed, stiffness, names, options.units)
     return assembled((mass, damping, stiffness), [*places, *points], parameters, options)
 
 
@@ -476,29 +481,28 @@ def _modal_damping(M: Array, K: Array, ratio: Any) -> Array:
     return np.asarray((damping + damping.T) / 2)
 
 
-def _coupled_links(K: Array, C: Array) -> tuple[list[Place], dict[tuple[int, ...], str]]:
-    """Return a place for each coupled pair, and names by mass or pair."""
+def _coupled_links(K: Array, C: Array) -> tuple[list[Place], Names]:
+    """Return a place for each coupled pair, and names by pair."""
     n = K.shape[0]
     places: list[Place] = []
-    names: dict[tuple[int, ...], str] = {(i,): f"mass{i + 1}" for i in range(n)}
+    names: Names = {}
     for i, j in combinations(range(n), 2):
         # coupled, relative to the diagonal entries
         if any(abs(X[i, j]) > 1e-12 * np.sqrt(abs(X[i, i] * X[j, j])) for X in (K, C) if X[i, j]):
             names[i, j] = f"mass{i + 1}-mass{j + 1}"
             words = f"between displacements {i + 1} and {j + 1} (d = q{i + 1} - q{j + 1})"
-            places.append(Place(names[i, j], unit_vector(n, (i, 1.0), (j, -1.0)), words, False))
+            places.append(Place(names[i, j], row_of(n, {i: 1.0, j: -1.0}), words, False))
     return places, names
 
 
-def _user_links(links: Any, n: int) -> tuple[list[Place], dict[tuple[int, ...], str]]:
+def _user_links(links: Any, n: int) -> tuple[list[Place], Names]:
     """Places that the user named, and names by mass or pair."""
     places: list[Place] = []
-    masses: dict[tuple[int, ...], str] = {(i,): f"mass{i + 1}" for i in range(n)}
-    joined: dict[tuple[int, ...], str] = {}
+    joined: Names = {}
     if not isinstance(links, Mapping):
         raise ct.ControlArgument(f'links must be a mapping such as {{"brace": (1, 3)}}, not {links!r}')
     for label, ends in links.items():
-        if not isinstance(label, str) or not label or label in masses.values():
+        if not isinstance(label, str) or not label or label in [f"mass{i + 1}" for i in range(n)]:
             raise ModelError(f"a link cannot be named {label!r}; mass1, mass2, ... are the masses")
         # a vector g: d = g q
         if isinstance(ends, np.ndarray):
@@ -508,16 +512,16 @@ def _user_links(links: Any, n: int) -> tuple[list[Place], dict[tuple[int, ...], 
             continue
         entries = _ends(label, ends, n)
         # two places must not have the same ends
-        key = tuple(sorted(i for i, _ in entries))
+        key = tuple(sorted(entries))
         if key in joined:
             raise ModelError(f"links {joined[key]!r} and {label!r} join the same ends; give one")
         joined[key] = label
-        words = " - ".join(f"q{i + 1}" for i, _ in entries)
-        places.append(Place(label, unit_vector(n, *entries), f"link with d = {words}", False))
-    return places, masses | joined
+        words = " - ".join(f"q{i + 1}" for i in entries)
+        places.append(Place(label, row_of(n, entries), f"link with d = {words}", False))
+    return places, joined
 
 
-def _ends(label: str, ends: Any, n: int) -> list[tuple[int, float]]:
+def _ends(label: str, ends: Any, n: int) -> dict[int, float]:
     """Masses at the ends of a link with their signs; the ground has none."""
     if not isinstance(ends, Sequence) or len(ends) != 2:
         raise ct.ControlArgument(
@@ -526,12 +530,10 @@ def _ends(label: str, ends: Any, n: int) -> list[tuple[int, float]]:
     one, two = (None if end == 0 else as_index(end, f"an end of link {label!r}", n) for end in ends)
     if one is None or one == two:
         raise ModelError(f"link {label!r} = {ends!r} must start at a mass and end elsewhere")
-    return [(one, 1.0)] if two is None else [(one, 1.0), (two, -1.0)]
+    return {one: 1.0} if two is None else {one: 1.0, two: -1.0}
 
 
-def _link_parameters(
-    M: Array, C: Array, K: Array, names: Mapping[tuple[int, ...], str], units: Units
-) -> list[NominalParameter]:
+def _link_parameters(M: Array, C: Array, K: Array, names: Names, units: Units) -> list[NominalParameter]:
     """Return masses if M is diagonal, and springs and dampers with a place."""
     found: list[NominalParameter] = []
     # masses only of a diagonal mass matrix
