@@ -7,7 +7,7 @@ from cases import slow
 from scipy.integrate import solve_ivp
 
 import rcorefine as rco
-from rcorefine.diagnosis import error_shares
+from rcorefine.diagnosis import noise as error_shares
 
 
 def test_shares_of_white_noise_and_of_a_slow_error(rng):

@@ -14,7 +14,7 @@ from ..inference.fitted import FittedModel
 from ..inference.free_form import Curve, averaged_evidence, channel_signal, curve_responses
 from ..inference.sensitivities import force_responses
 from ..systems.linear import Array
-from .residual_tests import TestedResidual, in_rows, over_frequency
+from .residual_tests import TestedResidual, in_rows, most_significant, over_frequency
 
 _NESTED = (1, 2, 4, 8, 16)  # leading directions that are tested together
 _SEEN = 1e-10  # least eigenvalue of a direction that is kept, over the largest
@@ -150,9 +150,7 @@ def nested(tested: TestedResidual, name: str, columns: Array) -> FTest:
     counts = [k for k in _NESTED if k < directions.shape[1]] + [directions.shape[1]]
     # F-tests of 1, 2, 4, ... directions
     tests = [tested.of_white(name, directions[:, :k]) for k in counts]
-    best = min(tests, key=lambda t: t.p_value)
-    p, p_equal = (min(1.0, len(tests) * value) for value in (best.p_value, min(t.p_equal for t in tests)))
-    return FTest(best.name, best.statistic, best.dof, p, best.gain, p_equal)
+    return most_significant(tests, len(tests))
 
 
 def curve_at(fitted: FittedModel, place: str, ratio: float) -> Curve | None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
@@ -110,8 +110,8 @@ class Case:
         segments, _ = windows(physical, ordered, settings["horizon"])
         self.cut = len(segments) > len(ordered)
         # the fit as it is, with its residual and sensitivities
-        fitted = fitted_from(base, segments, tolerance=settings["tolerance"], noise=settings["noise"])
-        self.fitted = fitted
+        tolerance, noise = settings["tolerance"], settings["noise"]
+        self.fitted = fitted = fitted_from(base, segments, tolerance=tolerance, noise=noise)
         # motion of each record, by the model corrected with the measured outputs
         self.motions = [estimated_motion(fitted.structure, fitted.theta, record) for record in segments]
         if len(records) > 1:
@@ -408,8 +408,7 @@ _EXCERPT, _PIECES = 8000, 4  # samples of a long record on which effects are sou
 _SHORTEST_PIECE, _MOST_RECORDS = 1000, 16  # samples of such a piece, records that it is made of
 
 
-@dataclass(frozen=True, slots=True)
-class Parts:
+class Parts(NamedTuple):
     """Parts of the records for a stepwise improvement.
 
     Attributes
@@ -424,8 +423,6 @@ class Parts:
         All that does not judge.
     remarks : tuple of str
         What was left out, and why.
-    whole : bool
-        Whether the first part is all of it, and no excerpt.
     """
 
     fit: list[Measurement]
@@ -433,7 +430,6 @@ class Parts:
     judge: list[Measurement]
     learn: list[Measurement]
     remarks: tuple[str, ...] = ()
-    whole: bool = True
 
 
 def common_horizon(
@@ -508,7 +504,7 @@ def split_in_parts(records: Sequence[Measurement], validation: Measurement | Non
             "once more on all that does not judge.",
         )
     judge = parts["judge"] if validation is None else [validation]
-    return Parts(climbed, parts["choose"], judge, parts["learn"], remarks, climbed is fit)
+    return Parts(climbed, parts["choose"], judge, parts["learn"], remarks)
 
 
 def _in_time(records: Sequence[Measurement], validated: bool) -> dict[str, list[Measurement]]:
@@ -574,8 +570,7 @@ def _lines_in_parts(responses: Sequence[Any], validation: Any) -> Parts:
     judge = parts["judge"] if validation is None else [validation]
     fit = spread_lines(parts["fit"])
     spread = ("Effects were sought on some of the frequencies, spread evenly.",)
-    whole = fit is parts["fit"]
-    return Parts(fit, parts["choose"], judge, parts["learn"], () if whole else spread, whole)
+    return Parts(fit, parts["choose"], judge, parts["learn"], () if fit is parts["fit"] else spread)
 
 
 def excerpt(records: list[Measurement]) -> list[Measurement]:

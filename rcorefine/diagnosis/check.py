@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
@@ -20,10 +20,10 @@ from ..engine.controlled import integrates
 from ..exceptions import DataError, DivergenceError, own_arithmetic, unheard
 from ..inference.levels import levels
 from ..inference.sensitivities import candidate_columns
-from ..models.controller import Controller
+from ..models.controller import Controller, JoinedController
 from ..models.conversion import as_physical, known_physical, under_control
 from ..models.library import zero_entries
-from ..models.operating_point import ordered_record
+from ..models.operating_point import OperatingPoint, ordered_record
 from ..models.physical_model import PhysicalModel
 from ..progress import Progress
 from ..refinement.refine import base_fit
@@ -49,7 +49,12 @@ from .verdict import detectable
 _SHORTEST = 20  # samples
 _LONGER = 100.0  # times its value: of what only as much shows, no length is named
 _TESTS = 6  # among which one would have to show an effect
-_SETTINGS = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
+_DIVERGES = CheckRow(
+    STOP, "free run", "", "diverges",
+    "The simulation diverges, so the model cannot be compared with the record. Give compare a short "
+    "horizon=, or correct the poles.",
+)  # fmt: skip
+_SETTINGS: dict[str, Any] = {"free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None}
 
 
 def check(
@@ -155,47 +160,73 @@ def looks(model: Any, records: Sequence[Measurement], horizon: float | None) -> 
     return Check(tuple(rows)).looks
 
 
+class _Beside(NamedTuple):
+    """A record beside the free run of a model.
+
+    Attributes
+    ----------
+    physical : PhysicalModel or None
+        The model, where its places are known.
+    point : OperatingPoint or None
+        Its operating point, with the outputs of the record.
+    record : Measurement
+        The record, in the model's channel order where that is known.
+    compared : Comparison or None
+        The free run on the record; None if it diverges.
+    """
+
+    physical: PhysicalModel | None
+    point: OperatingPoint | None
+    record: Measurement
+    compared: Comparison | None
+
+    @property
+    def controller(self) -> JoinedController | None:
+        """Controller of the loop, if there is one."""
+        return None if self.physical is None else self.physical.controller
+
+    @property
+    def straight(self) -> bool:
+        """True if the model is linear: else a gain says little."""
+        return self.point is None or self.point.field is None
+
+
+def _beside(model: Any, data: Measurement, horizon: float | None) -> _Beside:
+    """Simulate a model on a record; about a point, in deviations from it."""
+    physical = known_physical(model)
+    found = _Beside(physical, None if physical is None else physical.operating_point, data, None)
+    if physical is None or found.point is None or not found.straight or found.controller is not None:
+        compared = _compared(model, data, horizon)
+        return found._replace(record=data if compared is None else compared.data, compared=compared)
+    # about an operating point: deviations of the record and of the model, beside what the record has above it
+    compared = _compared(physical.system, ordered_record(physical, data), horizon)
+    known = dict(zip(match_channels(physical.linear, data).outputs, found.point.outputs, strict=True))
+    outputs = np.array([known.get(i, 0.0) for i in range(data.n_outputs)])
+    return found._replace(point=replace(found.point, outputs=outputs), compared=compared)
+
+
 def _looked_over(model: Any, data: Measurement, horizon: float | None) -> tuple[Measurement, list[CheckRow]]:
     """Return the record in the model's channel order, and its check rows.
 
     The rows on information are not included.
     """
-    physical = known_physical(model)
-    point = None if physical is None else physical.operating_point
-    straight = point is None or point.field is None  # of a nonlinear model a gain says little
-    controller = None if physical is None else physical.controller
-    # about an operating point: compare deviations of the record and of the model
-    about = physical is not None and point is not None and straight and controller is None
-    if physical is not None and point is not None and about:  # beside what the record has above the point
-        compared = _compared(physical.system, ordered_record(physical, data), horizon)
-        known = dict(zip(match_channels(physical.linear, data).outputs, point.outputs, strict=True))
-        point = replace(point, outputs=np.array([known.get(i, 0.0) for i in range(data.n_outputs)]))
-    else:
-        compared = _compared(model, data, horizon)
-    record = data if compared is None or about else compared.data
+    beside = _beside(model, data, horizon)
+    record, compared, controller = beside.record, beside.compared, beside.controller
+    linear = LinearModel.from_statespace(getattr(model, "system", model))
     # signals alone first, then levels, then the simulation
     rows = list(signal_rows(record if data.n_inputs else data))
-    levels = list(level_rows(data, point, compared)) if straight else []
-    linear = LinearModel.from_statespace(getattr(model, "system", model))
+    rows += level_rows(data, beside.point, compared) if beside.straight else []
     sampling = sampling_rows(linear, record, controller is not None)
-    if compared is None:
-        # an unstable model has no free run to compare
-        diverges = CheckRow(
-            STOP, "free run", "", "diverges",
-            "The simulation diverges, so the model cannot be compared with the record. Give compare a short "
-            "horizon=, or correct the poles.",
-        )  # fmt: skip
-        return record, [*rows, *levels, *sampling, diverges]
+    if compared is None:  # an unstable model has no free run to compare
+        return record, [*rows, *sampling, _DIVERGES]
     if controller is not None:
-        return record, [*rows, *levels, *sampling, *controller_rows(controller, linear, data)]
-    # gains need a free run of a linear model
-    gains: list[CheckRow] = []
-    if straight and not compared.led:
-        gains = list(gain_rows(compared, _units(physical, data, compared)))
-    # they say what a level and a limit there come from
+        return record, [*rows, *sampling, *controller_rows(controller, linear, data)]
+    # gains need a free run of a linear model; they say what a level and a limit there come from
+    units = _units(beside.physical, data, compared)
+    gains = list(gain_rows(compared, units)) if beside.straight and not compared.led else []
     bent = {row.where for row in gains if row.what in ("rectified", "stops")}
-    kept = [r for r in (*rows, *levels) if r.where not in bent or r.what not in ("level", "clipping")]
-    return record, [*kept, *sampling, *gains, *feedback_rows(compared)]
+    rows = [row for row in rows if row.where not in bent or row.what not in ("level", "clipping")]
+    return record, [*rows, *sampling, *gains, *feedback_rows(compared)]
 
 
 def _compared(model: Any, data: Measurement, horizon: float | None) -> Comparison | None:
@@ -257,8 +288,8 @@ def _shown(model: Any, data: Measurement, effects: Sequence[Effect] | None = Non
     """Smallest coefficients that one of the tests of `diagnose` would show."""
     # fit the model as it is, then power of the tests for each candidate
     try:
-        base = base_fit(model, [data], free=(), tolerance=0.0, offset=True, noise=None)
-        case = Case(base, [data], effects, dict(_SETTINGS), 0.01, Progress())
+        base = base_fit(model, [data], **_SETTINGS)
+        case = Case(base, [data], effects, _SETTINGS, 0.01, Progress())
     except (DataError, ct.ControlArgument):
         return ()  # too short, or nothing that could be missing: there is no such row then
     scored = candidate_columns(case.fitted, case.library, case.motions[0], (0.0,))

@@ -1,12 +1,14 @@
 """Checks of each output against the simulation.
 
-They cover sign, units, gain, delay, drift, spikes, rectification and stops.
+They cover sign, units, gain, delay, drift, spikes, rectification and stops. A factor between record and model
+may look like a conversion of units.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise, permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +25,6 @@ from ..results import counted, with_error
 from ..systems.conversion import to_discrete
 from ..systems.linear import Array, LinearModel
 from .check_rows import LOOK, OK, STOP, CheckRow
-from .units import between, likely
 
 _BLOCKS = 12
 _SURE = 4.0  # standard deviations
@@ -57,16 +58,25 @@ class _Gain(NamedTuple):
     share: float
     left: Array
 
+    @property
+    def alone(self) -> bool:
+        """True if only the gain differs: dynamics change a size, too."""
+        return self.share > _EXPLAINED
 
-def gain_rows(compared: Comparison, units: Sequence[str] = ()) -> Iterator[CheckRow]:
+    def meets(self, known: float) -> bool:
+        """Return whether the gain is a known one within its error."""
+        return abs(self.value / known - 1.0) <= max(_SURE * self.std / known, _LEAST)
+
+
+def gain_rows(compared: Comparison, units: Sequence[str]) -> Iterator[CheckRow]:
     """Rows on each output beside the free run of the model.
 
     Parameters
     ----------
     compared : Comparison
         Model on the record.
-    units : sequence of str, optional
-        Units that the model declares for these outputs.
+    units : sequence of str
+        Units that the model declares for these outputs; empty for none.
 
     Yields
     ------
@@ -254,7 +264,7 @@ def _unit_row(found: _Gain, data: Measurement, i: int, model: str) -> Iterator[C
 
 
 def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[CheckRow]:
-    value, figure = found.value, with_error(found.value, found.std)
+    """Yield a row on the size of an output relative to the simulation."""
     if abs(found.correlation) < _RELATED:
         yield CheckRow(
             LOOK, "gain", label, f"correlation {found.correlation:.2g}",
@@ -263,38 +273,49 @@ def _gain_row(label: str, found: _Gain, record: str, model: str) -> Iterator[Che
         )  # fmt: skip
         return
     factor = between(record, model)
-    if any(
-        abs(value / known - 1.0) <= max(_SURE * found.std / known, _LEAST) for known in (1.0, factor or 1.0)
-    ):
-        if factor in (None, 1.0):
-            yield CheckRow(OK, "gain", label, figure, f"{label} has the size that the model predicts.")
+    known = factor not in (None, 1.0)  # the row on units tells it
+    words, certain = "", False
+    if found.meets(1.0) or found.meets(factor or 1.0):
+        if not known:
+            said = f"{label} has the size that the model predicts."
+            yield CheckRow(OK, "gain", label, with_error(found.value, found.std), said)
         return
-    # missing dynamics turn and shrink a response too, but then little of the record goes with the model
-    like = abs(found.correlation)
-    large = abs(np.log(abs(value))) > np.log(_FAR)
-    clear = factor in (None, 1.0) and (large or (like > _SAME and found.share > _EXPLAINED))
-    words, certain = likely(abs(value), found.std, label, record, model) if clear else ("", False)
-    certain = certain and like > _SAME  # the rest of the record has to go with it
+    if not known:
+        words, certain = _unit_of(label, found, record, model)
+    yield _other_gain_row(label, found, words, certain, factor is None)
+
+
+def _other_gain_row(label: str, found: _Gain, words: str, certain: bool, undeclared: bool) -> CheckRow:
+    """Return the row on another size: a sign, a unit, or a gain."""
+    figure = with_error(found.value, found.std)
     unit = f"{'the record looks like' if certain else 'perhaps'} {words}"
-    if found.undelayed < -_CLEAR and value + _SURE * found.std < 0:
+    if found.undelayed < -_CLEAR and found.value + _SURE * found.std < 0:
         more = f", and {unit}" if words else ""
-        status, what = STOP, "sign"
         said = f"{label} has the opposite sign of the model{more}: swapped wires, or another sign convention."
-    elif certain:
-        status, what = STOP, "units"
+        return CheckRow(STOP, "sign", label, figure, said)
+    if certain:
         said = f"{label}: {unit}. The size agrees within its error, and so does the rest of the record."
-    else:
-        alone = found.share > _EXPLAINED  # other dynamics change the size of a response, too
-        status, what = LOOK, "units" if words else "gain"
-        causes = ["a wrong gain or parameter value", "a missing effect"]
-        said = f"{label} is {figure} times the model output"
-        if not alone:
-            said, causes[0] = f"{said}, and differs by more than a gain", "a wrong parameter value"
-        if words or (alone and factor is None):
-            causes.append(f"a unit ({words})" if words else "a unit")
-        causes += ["a sign"] if value < 0 else []
-        said += f": {', '.join(causes[:-1])}, or {causes[-1]}."
-    yield CheckRow(status, what, label, figure, said)
+        return CheckRow(STOP, "units", label, figure, said)
+    causes = ["a wrong gain or parameter value" if found.alone else "a wrong parameter value"]
+    causes.append("a missing effect")
+    if words or (found.alone and undeclared):
+        causes.append(f"a unit ({words})" if words else "a unit")
+    causes += ["a sign"] if found.value < 0 else []
+    more = "" if found.alone else ", and differs by more than a gain"
+    said = f"{label} is {figure} times the model output{more}: {', '.join(causes[:-1])}, or {causes[-1]}."
+    return CheckRow(LOOK, "units" if words else "gain", label, figure, said)
+
+
+def _unit_of(label: str, found: _Gain, record: str, model: str) -> tuple[str, bool]:
+    """Return the unit that a size looks like, and whether it is certain.
+
+    Missing dynamics turn and shrink a response, too, but then little of the record goes with the model.
+    """
+    large, like = abs(np.log(abs(found.value))) > np.log(_FAR), abs(found.correlation)
+    if not (large or (like > _SAME and found.alone)):
+        return "", False
+    words, certain = likely(abs(found.value), found.std, label, record, model)
+    return words, certain and like > _SAME  # the rest of the record has to go with it
 
 
 def _drift_row(label: str, left: Array, y: Array, timepts: Array) -> Iterator[CheckRow]:
@@ -334,6 +355,7 @@ _FAR_OFF = 3.0  # standard deviations of a signal that its mean stands away
 _SURE_LEVEL = 5.0  # standard errors of a level
 _LEVEL_TELLS = 1e-6  # of the samples: with fewer, none tells a level from an initial state
 _SEEN = 0.05  # of the spread of an output: a level that is worth a word
+_DECLARE = "declare {} by physical(model, operating_point=...), or give Measurement.deviation()."
 
 
 def level_rows(
@@ -357,8 +379,8 @@ def level_rows(
     """
     taken = data.origin[data.n_inputs :]
     means, spreads = data.outputs.mean(axis=1) + taken, data.outputs.std(axis=1)
-    free = compared is not None and not compared.led
-    levels = dict(_unexplained(compared)) if compared is not None and free else {}
+    run = None if compared is None or compared.led else compared
+    levels = {} if run is None else dict(_unexplained(run))
     # where a model integrates, its level is that of its initial state: any level goes with it
     fixed = np.array([levels.get(label, (0.0,)) is not None for label in data.output_labels])
     far = (np.abs(means) > _FAR_OFF * spreads) & fixed
@@ -373,32 +395,40 @@ def level_rows(
             )
             odd.append(CheckRow(LOOK, "level", data.output_labels[i], with_error(means[i], spreads[i]), said))
     # where it is led, or begins anew, its level is that of the record
-    free = compared is not None and free and len(compared.starts) == 1
-    declare = "declare {} by physical(model, operating_point=...), or give Measurement.deviation()."
-    for label, found in levels.items() if free and not odd else ():
-        if found is not None and _stands(*found):
-            figure = with_error(*found[:2])
-            said = (
-                f"{label} differs from the model by a constant {figure}, with a spread of {found[2]:.3g}: an "
-                "offset, or a record about an operating point."
-            )
-            if far.any() and point is None:
-                said += f" The outputs look absolute: {declare.format('this')}"
-            odd.append(CheckRow(LOOK, "level", label, figure, said))
+    free = run is not None and len(run.starts) == 1
+    undeclared = bool(far.any()) and point is None
+    if free and not odd:
+        odd += _constant_rows(levels, undeclared)
     if odd:
         yield from odd
     elif far.any():
         said, where = "The outputs look like absolute values, as in the model.", ""
-        if point is None:
+        if undeclared:
             where = data.output_labels[int(np.argmax(far))]
             said = "The outputs look like absolute values. If the model is linear about an operating point, "
-            said += declare.format("it")
+            said += _DECLARE.format("it")
         yield CheckRow(OK, "level", where, "absolute", said)
     elif not fixed.all():
         said = "The model integrates, so its initial state can explain any level."
         yield CheckRow(OK, "level", "", "any", said)
     else:
         yield _mean_row(data, free)
+
+
+def _constant_rows(
+    levels: Mapping[str, tuple[float, float, float] | None], undeclared: bool
+) -> Iterator[CheckRow]:
+    """Yield a row on each output that differs from the model by a constant."""
+    for label, found in levels.items():
+        if found is None or not _stands(*found):
+            continue
+        figure = with_error(*found[:2])
+        said = (
+            f"{label} differs from the model by a constant {figure}, with a spread of {found[2]:.3g}: an "
+            "offset, or a record about an operating point."
+        )
+        said += f" The outputs look absolute: {_DECLARE.format('this')}" if undeclared else ""
+        yield CheckRow(LOOK, "level", label, figure, said)
 
 
 def _mean_row(data: Measurement, free: bool) -> CheckRow:
@@ -446,3 +476,142 @@ def _error(left: Array, seen: float) -> float:
     """
     a, variance = autoregression(left)
     return float(np.sqrt(variance / seen) / max(abs(float(np.sum(a))), 1e-12))
+
+
+#: Size of each unit of a quantity, by the names that messages use.
+_SIZES = {
+    "rate": {"rad/s": 1.0, "rpm": 2 * np.pi / 60, "Hz": 2 * np.pi},
+    "angle": {"radians": 1.0, "degrees": np.pi / 180},
+    "velocity": {"m/s": 1.0, "km/h": 1 / 3.6},
+    "acceleration": {"m/s^2": 1.0, "g": 9.80665},
+    "length": {"millimeters": 1.0, "inches": 25.4},
+    "force": {"newtons": 1.0, "pounds": 4.44822},
+    "temperature": {"Celsius": 1.0, "Fahrenheit": 1 / 1.8},
+    "": {"per second": 1.0, "per minute": 1 / 60},
+    "share": {"shares of 1": 1.0, "percent": 0.01},
+    "prefix": {"units": 1.0, "thousandths": 1e-3, "millionths": 1e-6},
+}
+_ANY = ("", "share", "prefix")  # of whatever quantity
+#: What labs write for them: (quantity, size, name in a message).
+_WRITTEN = {
+    written: (quantity, _SIZES[quantity][name], name)
+    for quantity, name, spelled in (
+        ("rate", "rad/s", "rad/s rad/sec 1/s s^-1"), ("rate", "rpm", "rpm 1/min rev/min U/min"),
+        ("rate", "Hz", "Hz rps rev/s"),
+        ("angle", "radians", "rad"), ("angle", "degrees", "deg ° degrees"),
+        ("velocity", "km/h", "km/h kph"), ("length", "inches", "in inch"),
+        ("acceleration", "g", "g gn"), ("force", "pounds", "lbf lb"),
+    )
+    for written in spelled.split()
+} | {written: ("rate", np.pi / 180, "deg/s") for written in ("deg/s", "°/s")}  # fmt: skip
+_METRIC = {
+    "m": ("length", 1e3), "m/s": ("velocity", 1.0), "m/s^2": ("acceleration", 1.0),
+    "m/s²": ("acceleration", 1.0), "N": ("force", 1.0), "rad": ("angle", 1.0), "V": ("voltage", 1.0),
+    "A": ("current", 1.0), "Pa": ("pressure", 1.0), "W": ("power", 1.0), "Nm": ("torque", 1.0),
+    "N m": ("torque", 1.0),
+}  # fmt: skip
+_PREFIXES = {"": 1.0, "m": 1e-3, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "c": 1e-2, "k": 1e3, "M": 1e6}
+#: Quantities that a signal's name speaks of.
+_NAMED = (
+    (r"speed|veloc|omega|rate|rpm|freq", ("rate", "velocity")),
+    (r"acc", ("acceleration",)),
+    (r"angle|theta|phi|posi|disp|travel", ("angle", "length")),
+    (r"temp", ("temperature",)),
+    (r"force|load", ("force",)),
+)
+_ABOUT = 0.5  # log by which a unit may be missed where a gain is `_FAR`
+_NEAR = 0.1  # most that a factor which parameters do make may be missed by
+_FINE = 0.01  # of a gain: how well it must be known for a unit to be certain
+_ROUND = 1e-3  # share that simulation and rounding may cost
+_MOST = 3  # units that a sentence lists
+
+
+class _Known(NamedTuple):
+    """Declared unit; its quantity is "?" if it is not known here."""
+
+    quantity: str
+    size: float
+    name: str
+
+
+def between(record: str, model: str) -> float | None:
+    """Return the factor between record and model from declared units.
+
+    None is returned where the units do not determine it.
+    """
+    one, other = _known(record), _known(model)
+    if one is None or other is None or one.quantity != other.quantity or one.quantity == "?":
+        return None
+    return other.size / one.size
+
+
+def likely(value: float, std: float, label: str, record: str, model: str) -> tuple[str, bool]:
+    """Guess the unit of a record from its size relative to the model.
+
+    Parameters
+    ----------
+    value, std : float
+        Size of the record over that of the free run, positive, with its standard deviation.
+    label : str
+        Name of the signal.
+    record, model : str
+        Units that are declared; "" for none.
+
+    Returns
+    -------
+    words : str
+        The conversion that the size looks like; empty where it looks like none.
+    certain : bool
+        Whether one factor is met within a standard deviation that leaves room for no other.
+    """
+    # parameters that are off make a gain of 1.3 and not of 60
+    within = _ABOUT if abs(np.log(value)) > np.log(_FAR) else min(max(3.0 * std / value, 0.01), _NEAR)
+    given, declared = _known(record), _known(model)
+    if record == model:
+        given = None  # that was taken over, or is what is in doubt
+    near = sorted(
+        (rank, far, factor, words)
+        for rank, factor, words in _conversions(label, given, declared)
+        if (far := abs(float(np.log(value / factor)))) <= within
+    )
+    met = {round(f, 6) for *_, f, _ in near if abs(value - f) <= max(_SURE * std, _ROUND * value)}
+    certain = len(met) == 1 and _SURE * std <= _FINE * value
+    said = [words for *_, f, words in near if not certain or round(f, 6) in met]
+    return ", or ".join(said[:_MOST]), certain
+
+
+def _conversions(
+    label: str, given: _Known | None, declared: _Known | None
+) -> Iterator[tuple[int, float, str]]:
+    """Yield rank, factor and words of each conversion that is possible."""
+    for quantity, sizes in _SIZES.items():
+        rank = _rank(quantity, label, given or declared)
+        for (here, one), (there, other) in permutations(sizes.items(), 2):
+            fits = all(unit is None or unit.name == name for unit, name in ((given, here), (declared, there)))
+            if rank is not None and (quantity in _ANY or fits):
+                yield rank, other / one, f"{here} where the model has {there}"
+
+
+def _known(unit: str) -> _Known | None:
+    if unit in _WRITTEN:
+        return _Known(*_WRITTEN[unit])
+    for prefix, size in _PREFIXES.items():
+        base = unit.removeprefix(prefix)
+        if unit.startswith(prefix) and base in _METRIC:
+            quantity, whole = _METRIC[base]
+            sizes = {size: name for name, size in reversed(_SIZES.get(quantity, {}).items())}
+            return _Known(quantity, size * whole, sizes.get(size * whole, unit))
+    return _Known("?", 1.0, unit) if unit else None
+
+
+def _rank(quantity: str, label: str, declared: _Known | None) -> int | None:
+    """Rank how well a quantity suits a signal.
+
+    The rank is 0 for what suits it, 1 for what it may be, and None for what it is not.
+    """
+    if declared is not None and quantity not in _ANY:
+        return 0 if declared.quantity == quantity else None
+    spoken = [q for pattern, quantities in _NAMED if re.search(pattern, label.lower()) for q in quantities]
+    if quantity in _ANY or not spoken:
+        return 1
+    return 0 if quantity in spoken else None

@@ -238,7 +238,7 @@ _OTHER = 0.05  # share of an input that its controller does not give, from which
 _RETURNS = 0.98  # correlation of an input with itself later, from which it is periodic
 
 
-def sampling_rows(linear: LinearModel, data: Measurement, looped: bool = False) -> Iterator[CheckRow]:
+def sampling_rows(linear: LinearModel, data: Measurement, looped: bool) -> Iterator[CheckRow]:
     """Check sampling time and record length against the model's modes.
 
     Parameters
@@ -264,12 +264,10 @@ def sampling_rows(linear: LinearModel, data: Measurement, looped: bool = False) 
     fast = sorted({float(f"{abs(p.imag):.4g}") for p in poles if abs(p.imag) >= limit})
     status, said = OK, "Every mode lies below half the sampling frequency."
     if fast:
-        status, said = (
-            LOOK,
-            (
-                f"Modes at {', '.join(f'{w:.4g}' for w in fast[:4])} rad/s lie above half the sampling "
-                f"frequency ({limit:.4g} rad/s): their motion depends on the input between the samples."
-            ),
+        status = LOOK
+        said = (
+            f"Modes at {', '.join(f'{w:.4g}' for w in fast[:4])} rad/s lie above half the sampling "
+            f"frequency ({limit:.4g} rad/s): their motion depends on the input between the samples."
         )
     yield CheckRow(status, "sampling", "", f"{data.n_samples} samples, {1 / data.dt:.4g} Hz", said)
     length = data.dt * data.n_samples
@@ -327,12 +325,10 @@ def controller_rows(
         share = float(np.linalg.norm(left)) / max(float(np.linalg.norm(u - u.mean())), 1e-300)
         status, said = OK, "The controller reproduces the recorded input."
         if share >= _OTHER:
-            status, said = (
-                LOOK,
-                (
-                    f"With the record as its input, the controller gives another {label}. Possible causes: "
-                    "sign, sampling time, delay, an actuator limit, or an added signal."
-                ),
+            status = LOOK
+            said = (
+                f"With the record as its input, the controller gives another {label}. Possible causes: "
+                "sign, sampling time, delay, an actuator limit, or an added signal."
             )
         yield CheckRow(status, "controller", label, f"{100 * share:.2g} % deviation", said)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import control as ct
 import numpy as np
@@ -24,6 +24,7 @@ from ..inference.covariance import pseudo_inverse, standard_deviations, wald
 from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel, coefficient_covariance, evaluated, fitted_from
 from ..inference.levels import levels
+from ..inference.parameters import EstimatedParameter
 from ..inference.problem import descend
 from ..inference.refinement import Refinement
 from ..inference.sensitivities import candidate_columns
@@ -35,7 +36,7 @@ from ..results import Options, Result, Row, chance, picture, show
 from ..systems.linear import Array
 from .beside import Beside
 from .case import not_held
-from .error_shares import error_shares, in_percent
+from .noise import error_shares, in_percent
 from .residual_tests import TestedResidual, overall, run_tests
 
 _ROUNDS = 3  # descents, each under the whitening of the one before
@@ -136,52 +137,89 @@ def confirm(
     conditions, factors = _conditions(model, own, records, scales_with)
     library = effect_library(model.physical_model) if candidates is None else candidates
     rest = not_held(as_effects(library, "candidates"), model.effects)
+    # each record alone: fit under process noise relative to its amplitude, agreement, tests
     sizes = [amplitude(record) or 1.0 for record in ordered]
-    several = len({record.name for record in records}) > 1
-    # each record alone: fit, agreement with the first, tests of its residual
-    fits, estimates = list[tuple[Array, Array]](), list[RecordEstimate]()
-    for i, record in enumerate(ordered):
-        # process noise relative to the amplitude of the record
-        ratio, f = force_ratio * sizes[0] / sizes[i], factors[i]
-        fitted, whole = _alone(model, record, tolerance, noise, ratio)
-        theta, C = fitted.theta[own], whole[np.ix_(own, own)]
-        fits.append((theta, C))
-        off = theta - f * fits[0][0]
-        # Wald test of the difference; both covariances add
-        agreement = wald(off, f[:, None] * fits[0][1] * f + C) if i else 1.0
-        tested = TestedResidual(fitted, ratio)
-        tests = tuple(_tested(tested, rest))
-        # what the tests find, as a share of each output
-        left = error_shares(tested, tests, significance)
-        name = records[i].name if several else f"record {i + 1}"
-        figures = (theta, standard_deviations(C), agreement, tests, overall(tests), f)
-        sizes_left = _changes(tested, off, C), max((one.model for one in left), default=np.inf)
-        estimates.append(RecordEstimate(name, sizes[i] / sizes[0], *figures, *sizes_left))
-    further = estimates[1:]
+    fits = [
+        _alone(model, record, own, force_ratio * sizes[0] / size, tolerance, noise)
+        for record, size in zip(ordered, sizes, strict=True)
+    ]
+    estimates = _estimates(records, sizes, fits, factors, rest, significance)
+    rows = [model.parameters[i] for i in own]
+    what = _what(rows, scales_with)
+    verdict, p_value, message = _concluded(what, estimates, significance, matters)
+    names, units = tuple(row.name for row in rows), tuple(row.unit for row in rows)
+    found = tuple(estimates)
+    return Confirmation(verdict, p_value, names, units, found, significance, message, conditions)
+
+
+def _concluded(
+    what: str, estimates: Sequence[RecordEstimate], significance: float, matters: float
+) -> tuple[str, float, str]:
+    """Return verdict, p-value and message from the estimates of all records."""
+    first, *further = estimates
     # Bonferroni over the further records
     p_value = min(1.0, len(further) * min(min(e.agreement, e.residual) for e in further))
-    rows = [model.parameters[i] for i in own]
-    names, units = tuple(row.name for row in rows), tuple(row.unit for row in rows)
     # refuted if a test fails in one record and the deviation matters
-    refuted = any(_refutes(e, significance / len(further), matters) for e in further)
-    verdict = "refuted" if refuted else "confirmed"
-    labels = list(dict.fromkeys(f"{row.kind} at {row.place}" for row in rows))
-    message = _message(verdict, labels, estimates, p_value, significance, matters, scales_with)
-    return Confirmation(verdict, p_value, names, units, tuple(estimates), significance, message, conditions)
+    level = significance / len(further)
+    against = [
+        e
+        for e in further
+        if (e.agreement < level and e.change > matters) or (e.residual < level and e.error > matters)
+    ]
+    if against:
+        return "refuted", p_value, _refutation(what, first, against, p_value, significance)
+    return "confirmed", p_value, _confirmation(what, further, p_value, significance, matters)
 
 
-def _refutes(e: RecordEstimate, level: float, matters: float) -> bool:
-    """Return whether a test fails and what it finds matters."""
-    # other coefficients, or a residual that is significant and large
-    other = e.agreement < level and e.change > matters
-    return other or (e.residual < level and e.error > matters)
+class _Alone(NamedTuple):
+    """A model fitted to one record alone.
+
+    Attributes
+    ----------
+    tested : TestedResidual
+        Its residual, under the process noise of the record.
+    theta, C : ndarray
+        Coefficients of the effects, and their covariance.
+    """
+
+    tested: TestedResidual
+    theta: Array
+    C: Array
 
 
-def _changes(tested: TestedResidual, off: Array, C: Array) -> float:
+def _estimates(
+    records: Sequence[Measurement],
+    sizes: Sequence[float],
+    fits: Sequence[_Alone],
+    factors: Array,
+    rest: Sequence[Effect],
+    significance: float,
+) -> list[RecordEstimate]:
+    """Return what each record says of the effects."""
+    several, first = len({record.name for record in records}) > 1, fits[0]
+    found = []
+    for i, (record, size, alone, f) in enumerate(zip(records, sizes, fits, factors, strict=True)):
+        # Wald test of the difference; both covariances add
+        off = alone.theta - f * first.theta
+        agreement = wald(off, f[:, None] * first.C * f + alone.C) if i else 1.0
+        tests = tuple(_tested(alone.tested, rest))
+        # what the tests find, as a share of each output
+        left = error_shares(alone.tested, tests, significance)
+        name, sd = record.name if several else f"record {i + 1}", standard_deviations(alone.C)
+        change, error = _change(alone, off), max((one.model for one in left), default=np.inf)
+        level, residual = size / sizes[0], overall(tests)
+        found.append(
+            RecordEstimate(name, level, alone.theta, sd, agreement, tests, residual, f, change, error)
+        )  # fmt: skip
+    return found
+
+
+def _change(alone: _Alone, off: Array) -> float:
     """Return the largest share of an output that other coefficients change.
 
     All else is estimated with them: the sum of squares of the innovations rises by ``off' C^-1 off``.
     """
+    tested, C = alone.tested, alone.C
     # rise of the cost if the coefficients of the first record are used
     known = np.isfinite(np.diag(C))
     if not known.any() or not off.any():
@@ -238,58 +276,53 @@ def _mean_of(record: Measurement, label: str) -> float:
     return float(np.concatenate([record.inputs, record.outputs])[labels.index(label)].mean())
 
 
-def _message(
-    verdict: str,
-    labels: list[str],
-    estimates: Sequence[RecordEstimate],
-    p_value: float,
-    level: float,
-    matters: float,
-    scaled: Mapping[str, Any] | None,
-) -> str:
-    further = estimates[1:]
+def _what(rows: Sequence[EstimatedParameter], scaled: Mapping[str, Any] | None) -> str:
+    """Name the effects, each with the condition that it changes with."""
     ways = {
         key.replace("@", " at ", 1): f" in proportion to {by if isinstance(by, str) else 'the condition'}"
         for key, by in (scaled or {}).items()
     }
-    what = " with ".join(label + ways.get(label, "") for label in labels) or "model without an added effect"
-    # confirmed: with a caution if the amplitudes are similar
-    if verdict == "confirmed":
-        other = any(abs(np.log(e.level)) > 0.25 for e in further)
-        caution = "" if other else " The amplitudes are similar, so a similar effect could pass, too."
-        if p_value >= level:
-            return f"The same {what} explains every record ({chance(p_value, 'p')}).{caution}"
-        left = in_percent(max(max(e.change, e.error) for e in further))
-        return (
-            f"The same {what} explains every record to {left} of the motion; the tests find an error "
-            f"({chance(p_value, 'p')}), but less than what matters ({in_percent(matters)}).{caution}"
-        )
-    return _against(what if labels else f"The {what}", bool(labels), estimates, p_value, level, matters)
+    labels = dict.fromkeys(f"{row.kind} at {row.place}" for row in rows)
+    return " with ".join(label + ways.get(label, "") for label in labels)
 
 
-def _against(
-    what: str, added: bool, estimates: Sequence[RecordEstimate], p_value: float, level: float, matters: float
+def _confirmation(
+    what: str, further: Sequence[RecordEstimate], p_value: float, level: float, matters: float
 ) -> str:
-    """Return what refutes a model."""
-    first, *further = estimates
-    against = [e for e in further if _refutes(e, level / len(further), matters)]
-    # the record that deviates most
+    """Return what is confirmed, with a caution if the amplitudes are similar."""
+    what = what or "model without an added effect"
+    other = any(abs(np.log(e.level)) > 0.25 for e in further)
+    caution = "" if other else " The amplitudes are similar, so a similar effect could pass, too."
+    if p_value >= level:
+        return f"The same {what} explains every record ({chance(p_value, 'p')}).{caution}"
+    left = in_percent(max(max(e.change, e.error) for e in further))
+    return (
+        f"The same {what} explains every record to {left} of the motion; the tests find an error "
+        f"({chance(p_value, 'p')}), but less than what matters ({in_percent(matters)}).{caution}"
+    )
+
+
+def _refutation(
+    what: str, first: RecordEstimate, against: Sequence[RecordEstimate], p_value: float, level: float
+) -> str:
+    """Return what refutes a model: the record that deviates most."""
     worst = min(against, key=lambda e: min(e.agreement, e.residual))
     other = worst.agreement <= worst.residual
     why, size = ("other coefficients", worst.change) if other else ("something more", worst.error)
     much = f", {in_percent(size)} of the motion" if np.isfinite(size) else ""
-    verdict = f"{what} is refuted: {worst.name} needs {why} ({chance(p_value, 'p')}{much})."
+    verdict = f"{what or 'The model without an added effect'} is refuted: {worst.name} needs {why}"
+    verdict = f"{verdict} ({chance(p_value, 'p')}{much})."
     if first.residual < level:
         return f"{verdict} It does not explain the first record either ({chance(first.residual, 'p')})."
-    return f"{verdict} It only mimics what is missing." if added else verdict
+    return f"{verdict} It only mimics what is missing." if what else verdict
 
 
 def _alone(
-    model: Refinement, record: Measurement, tolerance: float, noise: Any, ratio: float
-) -> tuple[FittedModel, Array]:
+    model: Refinement, record: Measurement, effects: list[int], ratio: float, tolerance: float, noise: Any
+) -> _Alone:
     """Fit the model to one record alone.
 
-    Return the fitted model and the covariance of its coefficients.
+    `effects` are the positions of the coefficients of the effects.
     """
     # ordinary fit first, as a start
     with unheard(IdentifiabilityWarning):
@@ -309,7 +342,7 @@ def _alone(
     fitted = FittedModel(own, problem, point, tolerance)
     if gain is not None:
         fitted._gains[ratio] = gain
-    return fitted, C
+    return _Alone(TestedResidual(fitted, ratio), fitted.theta[effects], C[np.ix_(effects, effects)])
 
 
 def _tested(tested: TestedResidual, rest: Sequence[Effect]) -> list[FTest]:

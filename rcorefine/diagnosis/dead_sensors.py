@@ -6,8 +6,8 @@ The verdict then rests on the other outputs, and a note names the dead ones.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.signal import correlate
@@ -31,8 +31,7 @@ _ALIKE = 0.2  # correlation with the model from which a sensor shows something
 _SPREAD = 4.0  # standard deviations of a sum of so many squared correlations
 
 
-@dataclass(frozen=True, slots=True)
-class Watched:
+class Watched(NamedTuple):
     """Model without the outputs that show nothing.
 
     It also selects the kept outputs in the records and settings of the user.
@@ -106,12 +105,8 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
     DataError
         If no output ever changes.
     """
-    # frequency responses and refined models keep all outputs
-    if not records[0].in_time or hasattr(model, "physical_model"):
-        return None
-    physical = as_physical(model)
-    point = physical.operating_point
-    if physical.controller is not None or (point is not None and point.field is not None):
+    physical = _watchable(model, records)
+    if physical is None:
         return None
     ordered = [record_for(record, match_channels(physical.linear, record)) for record in records]
     labels = physical.linear.output_labels
@@ -120,17 +115,36 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
     if all(np.ptp(record.outputs, axis=1).max() == 0 for record in ordered):
         raise DataError(f"no output ever changes ({', '.join(labels)}); check sensors and cables")
     # left out if the sensor shows nothing in every record
-    faults = [[_fault(physical, record, i) for record in ordered] for i in range(len(labels))]
-    kept = tuple(i for i, found in enumerate(faults) if not all(found))
-    if not kept or len(kept) == len(labels):
+    dead = _dead(physical, ordered)
+    kept = tuple(i for i in range(len(labels)) if i not in dead)
+    if not kept or not dead:
         return None
     rest = ", ".join(labels[i] for i in kept)
-    said = tuple(
-        f"{label} is left out: {' and '.join(dict.fromkeys(found))}. The verdict rests on {rest}."
-        for label, found in zip(labels, faults, strict=True)
-        if all(found)
-    )
+    said = tuple(f"{labels[i]} is left out: {why}. The verdict rests on {rest}." for i, why in dead.items())
     return Watched(physical, kept, said)
+
+
+def _watchable(model: Any, records: Sequence[Measurement]) -> PhysicalModel | None:
+    """Return the model if only its record depends on a sensor, else None.
+
+    Frequency responses, and models that are refined, nonlinear or in a loop, keep all outputs.
+    """
+    if not records[0].in_time or hasattr(model, "physical_model"):
+        return None
+    physical = as_physical(model)
+    point = physical.operating_point
+    straight = point is None or point.field is None
+    return physical if straight and physical.controller is None else None
+
+
+def _dead(model: PhysicalModel, records: Sequence[Measurement]) -> dict[int, str]:
+    """Return the outputs that show nothing in any record, with the reasons."""
+    dead = {}
+    for i in range(model.linear.n_outputs):
+        faults = [_fault(model, record, i) for record in records]
+        if all(faults):
+            dead[i] = " and ".join(dict.fromkeys(faults))
+    return dead
 
 
 def _fault(model: PhysicalModel, data: Measurement, index: int) -> str:
@@ -138,16 +152,18 @@ def _fault(model: PhysicalModel, data: Measurement, index: int) -> str:
     y = data.outputs[index]
     if np.ptp(y) == 0:
         return "it never changes"
-    stuck = _stuck(y)
-    if stuck:
-        return stuck
-    # neither correlated with an input nor with the simulation, while other outputs are
-    if y.size > 5 * _LAGS and all(_unrelated(y, w) for w in data.inputs if np.ptp(w) > 0):
-        moved = [row for i, row in enumerate(data.outputs) if i != index and np.ptp(row) > 0]
-        driving = [w for w in data.inputs if np.ptp(w) > 0]
-        others = any(not _unrelated(row, w) for row in moved for w in driving)
-        if others and not _foreseen(model, data, index):
-            return "it moves with none of the inputs, as noise alone does, and other outputs do"
+    said = _stuck(y)
+    if said or y.size <= 5 * _LAGS:
+        return said
+    # correlated neither with an input nor with the simulation, while other outputs are
+    driving = [w for w in data.inputs if np.ptp(w) > 0]
+    others = [row for i, row in enumerate(data.outputs) if i != index and np.ptp(row) > 0]
+
+    def moves(row: Array) -> bool:
+        return not all(_unrelated(row, w) for w in driving)
+
+    if not moves(y) and any(map(moves, others)) and not _foreseen(model, data, index):
+        return "it moves with none of the inputs, as noise alone does, and other outputs do"
     return ""
 
 

@@ -36,15 +36,25 @@ from ..systems.linear import Array
 from .case import Case, no_motion, not_excited, not_tried, with_recorded_inputs
 from .check import looks
 from .dead_sensors import without_dead_sensors
-from .error_shares import error_shares, matter
+from .held_out import by_smaller_motion
 from .hypothesis import Trial
-from .noise import is_drowned, left_to_noise
+from .noise import error_shares, is_drowned, left_to_noise, matter
 from .nuisances import Hold, about_hold, with_fitting_priors, with_offsets
-from .open_law import open_force
+from .open_law import FreeForces, open_force
 from .result import Diagnosis
 from .search import MOST, Search, is_gain
-from .smaller_motion import by_smaller_motion
-from .verdict import Answer, TableRow, answer, close_enough, detectable, ranking, table, undetermined
+from .verdict import (
+    Answer,
+    Listed,
+    TableRow,
+    answer,
+    close_enough,
+    detectable,
+    log_sum,
+    ranking,
+    table,
+    undetermined,
+)
 from .words import determined, numbers_that_moved, percent
 
 _OTHER_AMPLITUDE = 1.3  # amplitude over that of another record
@@ -360,12 +370,12 @@ def _ask_twice(case: Case, validation: Measurement | None, most: int) -> Diagnos
     again, base = settings, case.base
     # nothing named: try again with an offset at each channel
     if found.verdict == "unexplained":
-        base = with_offsets(base, records, settings)
+        base = with_offsets(base, records, case.options)
     # adequate in windows: try again with free runs over the whole record
     elif found.verdict == "adequate" and settings["horizon"] is None and case.cut:
-        again = settings | {"horizon": max(record.n_samples * record.dt for record in records)}
-        options = {name: again[name] for name in ("free", "tolerance", "offset", "noise", "horizon")}
-        base = base_fit(base.physical_model, records, **options)
+        longest = {"horizon": max(record.n_samples * record.dt for record in records)}
+        again = settings | longest
+        base = base_fit(base.physical_model, records, free=settings["free"], **case.options | longest)
     if base is case.base:
         return found
     other = Case(base, records, settings["candidates"], again, case.significance, case.progress, case.effort)
@@ -381,7 +391,7 @@ _SETTLED = 10.0  # log evidence below the answer, within which coefficients get 
 _MATTERS = 0.2  # share of `Levels.off`: a smaller change may only compensate a wrong force law
 
 
-def ask(case: Case, validation: Measurement | None = None, most: int = MOST + 1) -> Diagnosis:
+def ask(case: Case, validation: Measurement | None, most: int) -> Diagnosis:
     """Diagnose a case.
 
     Parameters
@@ -461,68 +471,119 @@ def _told(
     """Return the answer as a diagnosis."""
     case, trial, word = search.case, found.trial, found.verdict
     # process noise, tests and error shares of the answer
-    held, nothing = trial.hypothesis, search.trials[0]
-    about = case.about | {"force_ratio": held.ratio}
-    own = search.tests(trial)
-    about["error_shares"] = () if held.ratio else error_shares(trial.tested, own, case.significance)
-    if word != "unexplained" and np.isnan(found.probability):  # it fails the tests, by too little to matter
-        about["adequate_to"] = max(one.model for one in about["error_shares"])
-    notes = [*about_hold(trial, search), *said]
+    own, ratio = search.tests(trial), trial.hypothesis.ratio
+    shares = () if ratio else error_shares(trial.tested, own, case.significance)
     left = "" if word == "unexplained" and own else left_to_noise(trial.tested, case.levels)
-    # adequate: what the record would have shown
+    about = case.about | {"force_ratio": ratio, "error_shares": shares, "left_to_noise": left}
+    if word != "unexplained" and np.isnan(found.probability):  # it fails the tests, by too little to matter
+        about["adequate_to"] = max(one.model for one in shares)
+    outcome = _Outcome(search, rows, found, about, [*about_hold(trial, search), *said], validation)
     if word == "adequate":
-        scored = candidate_columns(trial.model, case.library, case.motions[0], (held.ratio,))
-        shown = detectable(trial.tested, scored, len(own), case.significance, case.levels)
-        if held.nuisances and not held.ratio:
-            about["base"] = trial.model.refinement
-        about |= {"tests": own, "detectable": shown, "left_to_noise": left, "notes": tuple(notes)}
-        return Diagnosis(word, **about)
-    about["tests"] = search.tests(nothing)
-    holds = frozenset(one for one in held.nuisances if isinstance(one, Hold))
+        return outcome.adequate()
+    about |= {"tests": search.tests(search.trials[0]), "winner_tests": own}
+    holds = frozenset(one for one in trial.hypothesis.nuisances if isinstance(one, Hold))
     if holds:
         about["base"] = search.base(holds).refinement
-    # parameters: the fit with priors is the model to go on with
     if word == "parameters":
-        about |= {"winner_tests": own, "left_to_noise": left, "notes": (*notes, *_against(rows, found))}
-        return Diagnosis(word, **about, floated=with_fitting_priors(case, trial))
-    law = None
-    if word == "unexplained" and case.settings["candidates"] is None:
-        notes += filter(None, [not_tried(case.base.physical_model, case.library, case.ordered)])
-    if word == "unexplained" and search.not_afforded:
-        notes.append(search.not_afforded)
-    # unexplained: estimate the force at each place as a free curve
-    if word == "unexplained" and case.in_time:
-        with case.progress.step("free forces"):
-            law, base = open_force(search)
-        about["base"] = base.refinement
-    if held.floated and (word != "unexplained" or about["base"] is trial.base.refinement):
-        about["base"] = trial.base.refinement
-        notes.append(_beside_parameters(trial, word))
-    notes += [*remarks(trial.model, trial.effects), *_denied(search, trial)]
-    # ranking: answer, alternatives, then other candidates with their probabilities
-    listed = _listed(search, rows, found, about["base"])
-    if word == "unexplained" and not listed[0].hypothesis.ratio:
-        about["error_shares"] = error_shares(listed[0].tested, search.tests(listed[0]), case.significance)
-        close = about["error_shares"] and not matter(about["error_shares"], case.levels.matters)
-        if close and search.determined(listed[0]):
-            about["adequate_to"] = max(one.model for one in about["error_shares"])
-    tied = [set(row.effects) for row in (found.row, *found.ties)]
-    alike = [word != "unexplained" and set(one.effects) in tied for one in listed]
-    names = {frozenset(row.effects): row.same for row in rows}
-    same = [names.get(frozenset(one.effects), ()) for one in listed]
-    ranked = ranking(listed, _shares(rows, found, listed), alike, same, nothing.total, case, validation)
-    named = [e for row in ranked if row.alike for one in (row, *row.same) for e in one.effects]
-    others = [e for e in named if e not in trial.effects]
-    about |= {"ranking": ranked, "winner_tests": own, "notes": tuple(notes)}
-    about["ambiguous"] = tuple(dict.fromkeys([ranked[0].effect, *others]))
-    return Diagnosis(
-        word,
-        **about,
-        none_of_these=found.none,
-        places=_places(rows, found, law, case.in_time),
-        open_law=None if law is None else law.law,
-        left_to_noise=left,
-    )
+        return outcome.parameters()
+    return outcome.unexplained() if word == "unexplained" else outcome.effects()
+
+
+class _Outcome(NamedTuple):
+    """An answer, and what it rests on, with one diagnosis for each verdict.
+
+    Attributes
+    ----------
+    search, rows, found, validation
+        Search, its table, the answer, and validation data.
+    about : dict
+        Fields of the diagnosis so far.
+    notes : list of str
+        Notes so far.
+    """
+
+    search: Search
+    rows: Sequence[TableRow]
+    found: Answer
+    about: dict[str, Any]
+    notes: list[str]
+    validation: Measurement | None
+
+    def diagnosis(self, **more: Any) -> Diagnosis:
+        """Return the diagnosis with some fields more."""
+        return Diagnosis(self.found.verdict, **self.about | {"notes": tuple(self.notes)} | more)
+
+    def adequate(self) -> Diagnosis:
+        """Return that nothing is missing, with what the record would have shown."""
+        case, trial = self.search.case, self.found.trial
+        tests, held = self.search.tests(trial), trial.hypothesis
+        scored = candidate_columns(trial.model, case.library, case.motions[0], (held.ratio,))
+        shown = detectable(trial.tested, scored, len(tests), case.significance, case.levels)
+        if held.nuisances and not held.ratio:
+            self.about["base"] = trial.model.refinement
+        return self.diagnosis(tests=tests, detectable=shown)
+
+    def parameters(self) -> Diagnosis:
+        """Return that parameters are wrong, with their fit under priors."""
+        self.notes.extend(_against(self.rows, self.found))
+        return self.diagnosis(floated=with_fitting_priors(self.search.case, self.found.trial))
+
+    def effects(self) -> Diagnosis:
+        """Return the effects that are missing, one set or several that tie."""
+        trial = self.found.trial
+        if trial.hypothesis.floated:
+            self.about["base"] = trial.base.refinement
+            self.notes.append(_beside_parameters(trial, self.found.verdict))
+        listed = _listed(self.search, self.rows, self.found, self.about["base"])
+        return self.with_ranking(listed, [self.found.row, *self.found.ties])
+
+    def unexplained(self) -> Diagnosis:
+        """Return that no candidate explains the record, with free forces."""
+        search, case, trial, about = self.search, self.search.case, self.found.trial, self.about
+        law = None
+        if case.settings["candidates"] is None:
+            self.notes.append(not_tried(case.base.physical_model, case.library, case.ordered))
+        self.notes.append(search.not_afforded)
+        # estimate the force at each place as a free curve
+        if case.in_time:
+            with case.progress.step("free forces"):
+                law, base = open_force(search)
+            about["base"] = base.refinement
+        if trial.hypothesis.floated and about["base"] is trial.base.refinement:
+            self.notes.append(_beside_parameters(trial, "unexplained"))
+        # the candidate with the best free run, and whether it is close enough
+        listed = _listed(search, self.rows, self.found, about["base"])
+        first = listed[0]
+        if not first.hypothesis.ratio:
+            shares = error_shares(first.tested, search.tests(first), case.significance)
+            about["error_shares"] = shares
+            if shares and not matter(shares, case.levels.matters) and search.determined(first):
+                about["adequate_to"] = max(one.model for one in shares)
+        return self.with_ranking(listed, (), law)
+
+    def with_ranking(
+        self, listed: Sequence[Trial], tied: Sequence[TableRow], law: FreeForces | None = None
+    ) -> Diagnosis:
+        """Return the diagnosis with the answer and the other candidates."""
+        search, rows, found, case = self.search, self.rows, self.found, self.search.case
+        sets, names = [set(row.effects) for row in tied], {frozenset(row.effects): row.same for row in rows}
+        shown = [
+            Listed(trial, share, set(trial.effects) in sets, names.get(frozenset(trial.effects), ()))
+            for trial, share in zip(listed, _shares(rows, found, listed), strict=True)
+        ]
+        ranked = ranking(shown, search.trials[0].total, case, self.validation)
+        # effects that the data cannot distinguish, that of the answer first
+        named = [e for row in ranked if row.alike for one in (row, *row.same) for e in one.effects]
+        others = [e for e in named if e not in found.trial.effects]
+        self.notes.extend([*remarks(found.trial.model, found.trial.effects), *_denied(search, found.trial)])
+        return self.diagnosis(
+            notes=tuple(filter(None, self.notes)),
+            ranking=ranked,
+            ambiguous=tuple(dict.fromkeys([ranked[0].effect, *others])),
+            none_of_these=found.none,
+            places=_places(rows, found, law, case.in_time),
+            open_law=None if law is None else law.law,
+        )
 
 
 def _beside_parameters(trial: Trial, word: str) -> str:
@@ -561,7 +622,7 @@ def _against(rows: Sequence[TableRow], found: Answer) -> list[str]:
     if found.probability >= levels().named:
         return []
     first = next(row for row in rows if row.effects)
-    share = float(np.exp(first.value - np.logaddexp.reduce([row.value for row in rows])))
+    share = float(np.exp(first.value - log_sum(rows)))
     names = " with ".join(effect.label for effect in first.effects)
     return [f"The probability of that is {found.probability:.2f}; {names} has {share:.2f}."]
 
@@ -595,7 +656,7 @@ def _shares(rows: Sequence[TableRow], found: Answer, listed: Sequence[Trial]) ->
     """
     if found.verdict == "unexplained":
         return [np.nan] * len(listed)
-    total = float(np.logaddexp.reduce([row.value for row in rows]))
+    total = log_sum(rows)
     of_set = {
         frozenset(row.effects): float(np.exp(row.value - total)) * (1.0 - found.none)
         for row in rows

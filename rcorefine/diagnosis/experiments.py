@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, NamedTuple, Unpack
 
 import control as ct
 import numpy as np
@@ -44,19 +44,22 @@ _MOST = 8  # contenders that are simulated
 _NEAR = 0.2  # p-value, corrected for the candidates, below which an adequate model has something near
 _FEW = 3  # such candidates at most
 _BEYOND = 1.25  # motion over the largest seen that calls for a warning
+_PARAMETERS = "Nothing to separate: no additional effect is needed; refine() re-estimates the parameters."
+_STILL = "The record shows no motion from which candidates could be simulated: excite it, then diagnose."
+_UNEXPLAINED = (
+    "Nothing to separate: none of the candidates explains the record. A second record at another "
+    "amplitude tells a law outside the library from a fault of the record (give both to diagnose); "
+    "other candidates may explain it."
+)
 _NESTED = 1.0  # squared distance below which no record of the kind tells a pair apart
 
 
 def suggest(
     found: Diagnosis,
     probability: float,
-    repeat: bool,
-    amplitudes: Sequence[float],
-    lengths: Sequence[float],
-    bands: Sequence[tuple[float, float]] | None,
-    sensors: Sequence[str] | None,
     costs: Mapping[str, float] | None,
     largest_input: ArrayLike | None,
+    **asked: Any,
 ) -> ExperimentAdvice:
     """Implement `Diagnosis.suggest_experiment`, which is documented there."""
     probability = as_share(probability, "probability")
@@ -75,10 +78,16 @@ def suggest(
         if name not in prices:
             raise ct.ControlArgument(f"costs names {name!r}; there are {', '.join(prices)}")
         prices[name] = as_number(value, f"costs[{name!r}]", least=0.0)
-    as_flag(repeat, "repeat")
+    as_flag(asked["repeat"], "repeat")
     # candidate experiments, and the explanations that they must distinguish
-    listed = _proposals(model, records[0], repeat, amplitudes, lengths, bands, sensors, prices)
-    contenders, fitted, why = _contenders(found, records)
+    listed = _proposals(model, records[0], prices, **asked)
+    named = found.best if found.effects else None
+    best = found.floated or (found.base if named is None else named.refinement)
+    # free runs in the windows of the diagnosis
+    segments, _ = windows(model, records, found.settings["horizon"])
+    tolerance, noise = found.settings["tolerance"], found.settings["noise"]
+    fitted = fitted_from(best, segments, tolerance=tolerance, noise=noise)
+    contenders, why = _contenders(found, fitted, records)
     if len(contenders) < 2:
         return ExperimentAdvice(None, (), tuple(c.label for c in contenders), probability, why)
     # simulate each experiment under each explanation
@@ -86,35 +95,16 @@ def suggest(
     return _advice([judge.option(proposal) for proposal in listed], judge, probability, why)
 
 
-def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[Contender], FittedModel, str]:
-    """Return the remaining explanations and the fitted best model.
-
-    A message gives the reason if there is nothing to separate.
-    """
-    # free runs in the windows of the diagnosis
-    segments, _ = windows(found.base.physical_model, list(records), found.settings["horizon"])
-    best, why = found.best, ""
-
-    def fitted(model: Refinement) -> FittedModel:
-        return fitted_from(
-            model, segments, tolerance=found.settings["tolerance"], noise=found.settings["noise"]
-        )
-
+def _contenders(
+    found: Diagnosis, fitted: FittedModel, records: Sequence[Measurement]
+) -> tuple[list[Contender], str]:
+    """Return the remaining explanations, and a message about them."""
     if found.verdict == "adequate":
-        return _near(found, fitted(found.base))
+        return _near(found, fitted)
     if found.floated is not None:
-        why = "Nothing to separate: no additional effect is needed; refine() re-estimates the parameters."
-        return [], fitted(found.floated), why
-    if best is None and found.verdict == "ambiguous":
-        why = "The record shows no motion from which candidates could be simulated: excite it, then diagnose."
-        return [], fitted(found.base), why
-    if best is None or found.verdict == "unexplained":
-        why = (
-            "Nothing to separate: none of the candidates explains the record. A second record at another "
-            "amplitude tells a law outside the library from a fault of the record (give both to diagnose); "
-            "other candidates may explain it."
-        )
-        return [], fitted(found.base), why
+        return [], _PARAMETERS
+    if not found.effects:
+        return [], _UNEXPLAINED if found.verdict == "unexplained" else _STILL
     # candidates that the data cannot distinguish, with normalized probabilities
     alike = [row for row in found.ranking if row.alike]
     rows, left = alike[:_MOST], len(alike) - _MOST
@@ -123,6 +113,7 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
         Contender(row.effect, row.refinement, row.probability / total, 2 * row.log_likelihood_gain)
         for row in rows
     ]
+    why = f"{left} less probable candidates were left out. " if left > 0 else ""
     if len(contenders) == 1:
         sizes = [float(np.sqrt(np.mean(record.inputs**2))) for record in records]
         why = f"Nothing to separate: {contenders[0].label} stands alone among the laws."
@@ -131,17 +122,15 @@ def _contenders(found: Diagnosis, records: Sequence[Measurement]) -> tuple[list[
                 " A second record at another amplitude, given to diagnose together with this one, would "
                 "confirm the law."
             )
-    elif left > 0:
-        why = f"{left} less probable candidates were left out. "
     if found.none_of_these > levels().no_law:
         why += (
             f" None of these laws has probability {found.none_of_these:.2f}; no option tells that, but "
             "confirm does with a record at another amplitude."
         )
-    return contenders, fitted(best.refinement), why
+    return contenders, why
 
 
-def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], FittedModel, str]:
+def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], str]:
     """Return the nearly significant effects of an adequate model.
 
     The alternative to them is that nothing is missing.
@@ -150,7 +139,7 @@ def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], Fitte
     effects = [d.effect for d in found.detectable]
     alone = [Contender(None, found.base, 0.0, 0.0)]
     if not effects:
-        return alone, fitted, nothing
+        return alone, nothing
     # nearly significant candidates of an adequate model: score tests, then full fits
     motion = Motion(fitted.structure, fitted.theta, fitted.problem.records[0])
     scored = candidate_columns(fitted, effects, motion, (0.0, found.force_ratio))
@@ -167,7 +156,7 @@ def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], Fitte
         trials.append(fitter.fit(Hypothesis((candidate.effect,)), fitted, starts, shared=True))
     likely = sorted((t for t in trials if t is not None), key=lambda trial: -trial.total)
     if not likely:
-        return alone, fitted, nothing
+        return alone, nothing
     # probabilities from their evidence, against "nothing is missing"
     base = fitter.empty(Hypothesis(), fitted).total
     weights = np.exp([trial.total - likely[0].total for trial in likely])
@@ -176,7 +165,7 @@ def _near(found: Diagnosis, fitted: FittedModel) -> tuple[list[Contender], Fitte
         Contender(trial.effects[0], trial.model.refinement, float(weight), 2 * (trial.total - base))
         for trial, weight in zip(likely, weights, strict=True)
     ]
-    return [*contenders, *alone], fitted, ""
+    return [*contenders, *alone], ""
 
 
 class _Judge:
@@ -190,7 +179,7 @@ class _Judge:
         ratio: float,
         largest_input: Array | None,
     ) -> None:
-        self.contenders, self.fitted, self.records, self.ratio = contenders, fitted, records, ratio
+        self.contenders, self.records, self.ratio = contenders, records, ratio
         self.limit = largest_input
         # noise levels and color of the record at hand, taken over to the new one
         self.levels = 1.0 / fitted.problem.weights
@@ -314,8 +303,7 @@ _LINES = 8  # frequency lines that a band must hold
 _WORDS = {2.0: "twice", 3.0: "three times", 4.0: "four times", 5.0: "five times"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Proposal:
+class Proposal(NamedTuple):
     """An experiment: its inputs, what it asks for, its cost.
 
     Attributes
@@ -342,12 +330,12 @@ class Proposal:
 def _proposals(
     model: PhysicalModel,
     record: Measurement,
+    costs: Mapping[str, float],
     repeat: bool,
     amplitudes: Any,
     lengths: Any,
     bands: Any,
     sensors: Any,
-    costs: dict[str, float],
 ) -> list[Proposal]:
     """Return all experiments to be judged, the cheapest first.
 

@@ -1,58 +1,72 @@
-"""Models of an improvement, and their errors on held-out data."""
+"""Models on held-out data.
+
+They are the steps of an improvement, or fits to the large motion of a decay that its smaller motion judges.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..comparison.compare import compare
 from ..data.channels import match_channels, record_for
+from ..data.records import at_rest
 from ..effects.effect import Effect
 from ..engine.amplitude_response import engine_on
-from ..exceptions import DivergenceError, ExcitationWarning, unheard
+from ..exceptions import DataError, DivergenceError, ExcitationWarning, unheard
 from ..inference.levels import levels
 from ..inference.refinement import Refinement
 from ..inference.whitening import Whitener
 from ..models.controller import completed
 from ..models.operating_point import ordered_record
-from ..progress import Progress
-from ..refinement.refine import refit
+from ..refinement.refine import base_fit, refit
 from ..systems.linear import Array
-from .case import Parts, not_held
-from .error_shares import ErrorShare, error_shares_of, matter
-from .result import Step
-from .verdict import estimates, undetermined
+from .case import Case, Parts, common_horizon, not_held, split_in_parts
+from .hypothesis import Trial
+from .noise import ErrorShare, error_shares_of, found_share, matter
+from .nuisances import about_hold, with_offsets
+from .result import Diagnosis, RankedEffect, Step
+from .search import Search
+from .verdict import close_models, sizes_of, special, table, undetermined
 
 
-@dataclass(eq=False)
 class HeldOutPath:
     """Steps from the initial model to the improved one.
 
-    Attributes
+    Parameters
     ----------
     parts : Parts
         Three parts of the records.
+    case : Case
+        Case of the whole records.
+
+    Attributes
+    ----------
     settings : dict
-        tolerance, offset, noise and horizon as in `refine`.
+        tolerance, offset, noise and horizon as in `refine`, one horizon for all parts.
+    said : list of str
+        What is said of this horizon.
     matters : float
         Share of the spread of an output below which an error of the model does not matter.
-    progress : Progress
-        Progress display.
     steps : list of Step
         Steps so far.
     found : float
         Share of the innovations' power that the residual tests of the last model find.
     """
 
-    parts: Parts
-    settings: dict[str, Any]
-    matters: float
-    progress: Progress
-    steps: list[Step] = field(default_factory=list)
-    found: float = 0.0
+    def __init__(self, parts: Parts, case: Case) -> None:
+        self.parts, self.matters, self.progress = parts, case.levels.matters, case.progress
+        horizon, self.said = common_horizon(case.base.physical_model, case.ordered, case.settings["horizon"])
+        self.settings = case.options | {"horizon": horizon}
+        self.steps, self.found = list[Step](), 0.0
+
+    @property
+    def last(self) -> Refinement:
+        """Model of the last step."""
+        return self.steps[-1].refinement
 
     def follow(
         self,
@@ -105,9 +119,7 @@ class HeldOutPath:
     ) -> None:
         """Append a step with its errors and coefficients."""
         # errors on the three parts, and coefficients of the added effect
-        rows = {} if effect is None else estimates(model, effect)
-        values = {name: float(row.coefficient) for name, row in rows.items()}
-        std = {name: float(row.std) for name, row in rows.items()}
+        values, std = ({}, {}) if effect is None else sizes_of(model, effect)
         train = self._errors(model, self.parts.fit) if model.of_responses else model.rmse.copy()
         choice, judged = (self._errors(model, part) for part in (self.parts.choose, self.parts.judge))
         other = () if effect is None else tuple(not_held(ties, [effect]))
@@ -159,15 +171,12 @@ class HeldOutPath:
         outputs = [ordered_record(model.physical_model, record).outputs for record in every]
         return error_shares_of(labels, left, outputs, innovations, self.found)
 
-    def close(self, model: Refinement, *parts: Sequence[Any]) -> bool:
-        """Return whether the error of a model does not matter on some parts."""
-        left = [one for part in parts for one in self.errors_on(part, model)]
-        return bool(left) and not matter(left, self.matters)
-
     @property
     def is_close(self) -> bool:
         """True if the error of the last model does not matter on any part."""
-        return self.close(self.steps[-1].refinement, self.parts.learn, self.parts.judge)
+        parts = (self.parts.learn, self.parts.judge)
+        left = [one for part in parts for one in self.errors_on(part, self.last)]
+        return bool(left) and not matter(left, self.matters)
 
     # ------------------------------------------------------------------ taking steps back
     def cut(self) -> None:
@@ -191,7 +200,7 @@ class HeldOutPath:
             # the third part has not been used by fit or choice
             first, last = (mean_log(s.validation_rmse) for s in (self.steps[0], self.steps[-1]))
             held = [step.effect for step in self.steps if step.effect is not None]
-            if last <= first and not loose(self.steps[-1].refinement, held):
+            if last <= first and not loose(self.last, held):
                 break
             back.insert(0, self.steps.pop().name)
         return back
@@ -238,3 +247,126 @@ def _left(refinement: Refinement, record: Any, horizon: float | None) -> Array:
     ordered = record_for(record, match_channels(refinement.physical_model.linear, record))
     with unheard(ExcitationWarning):  # the user did not choose the excitation of a part
         return np.atleast_2d(compare(refinement, ordered, horizon=horizon).residual)
+
+
+_DECAY = 4  # effects that are added to a decay
+
+
+def by_smaller_motion(found: Diagnosis, case: Case, model: Any) -> Diagnosis:
+    """Return the diagnosis of decays by what holds for smaller motion, too.
+
+    What only imitates a law where the motion is large fails where it is small. A decay offers both: effects
+    are fitted to its first part, chosen on the next one and judged on the last. The diagnosis is returned as
+    it is if no set of named effects leaves too little to matter.
+
+    Parameters
+    ----------
+    found : Diagnosis
+        Diagnosis; where it names an effect that passes its tests, or needs none, it is returned.
+    case : Case
+        Records and settings. If inputs move, the diagnosis is returned.
+    model : StateSpace, PhysicalModel or Refinement
+        Initial model.
+
+    Returns
+    -------
+    Diagnosis
+    """
+    inexact = found.verdict == "unexplained" or np.isfinite(found.adequate_to)
+    if not (found.ranking and inexact and case.in_time and at_rest(case.ordered)):
+        return found
+    try:
+        parts = split_in_parts(case.records, None)
+    except DataError:  # too short for three parts
+        return found
+    path = HeldOutPath(parts, case)
+    # search on the first part, with the largest motion
+    start, part = case_of_part(case, model, parts.fit, path.settings)
+    search = Search(part, _DECAY).run()
+    # choose on the smaller one
+    close = sorted(close_models(search), key=lambda trial: path.log_error(trial.model.refinement))
+    if not close or not close[0].effects or any(e.spec.needs_law for e in close[0].effects):
+        return found
+    chosen = close[0]
+    path.found = found_share(chosen.tested, search.tests(chosen), case.significance)
+    # judge on the smallest
+    tied = _tied_effects(chosen, search)
+    path.follow(start, None, chosen.model.refinement, chosen.effects, "effect", tied)
+    if path.back() or not path.is_close:
+        return found
+    return _renamed(found, chosen, tied, path, search)
+
+
+def _renamed(
+    found: Diagnosis, chosen: Trial, tied: dict[Effect, list[Effect]], path: HeldOutPath, search: Search
+) -> Diagnosis:
+    """Return a diagnosis that names a set chosen on the smaller motion."""
+    # errors on the last part, and the ranking with the chosen set first
+    left, (first, *beside) = path.errors_on(path.parts.judge, path.last), chosen.effects
+    p_value = next((row.p_value for row in found.ranking if row.effect == first), np.nan)
+    figures = float(np.mean(found.base.fit)), float(np.mean(path.last.fit)), p_value, np.nan, np.nan
+    own = RankedEffect(first, *sizes_of(path.last, first), *figures, path.last, tuple(beside), alike=True)
+    alike = tuple(one for effect, others in tied.items() if others for one in (effect, *others))
+    said = "The effects were fitted to the first part of each decay and chosen on the next, smaller one."
+    rest = (replace(row, alike=False, probability=np.nan) for row in found.ranking)
+    return replace(
+        found, verdict="ambiguous" if alike else "effect", ranking=(own, *rest), open_law=None,
+        ambiguous=alike, winner_tests=search.tests(chosen), error_shares=left, none_of_these=np.nan,
+        adequate_to=max(one.model for one in left), notes=(said, *about_hold(chosen, search)),
+    )  # fmt: skip
+
+
+def case_of_part(
+    case: Case, model: Any, records: Sequence[Any], settings: dict[str, Any]
+) -> tuple[Refinement, Case]:
+    """Return the initial model on a part of the records, and its case.
+
+    Parameters
+    ----------
+    case : Case
+        Case of the whole records.
+    model : StateSpace, PhysicalModel or Refinement
+        Initial model.
+    records : sequence of Measurement
+        Part of the records.
+    settings : dict
+        tolerance, offset, noise and horizon.
+
+    Returns
+    -------
+    start : Refinement
+    part : Case
+        With offsets at all channels.
+    """
+    # the initial model fitted to this part, with its own offsets
+    start = base_fit(model, records, free=case.settings["free"], **settings)
+    asked = settings | {"free": (), "matters": case.levels.matters}
+    library = not_held(case.library, start.effects)
+    base = with_offsets(start, records, settings)
+    return start, Case(base, records, library, asked, case.significance, case.progress, case.effort)
+
+
+def _tied_effects(chosen: Trial, search: Search) -> dict[Effect, list[Effect]]:
+    """Return the effects that the first part cannot distinguish from each one."""
+    near = search.posterior(chosen) - 0.5 * search.case.levels.rival
+    # a law that contains it is no other explanation
+    others = (
+        row.effects
+        for row in table(search)
+        if row.value > near and not special(chosen.effects, row.effects)
+        if all(set(trial.effects) != set(chosen.effects) for trial in row.same)
+    )
+    return exchanged(chosen.effects, others)
+
+
+def exchanged(own: Sequence[Effect], others: Iterable[Sequence[Effect]]) -> dict[Effect, list[Effect]]:
+    """Return for each effect of a set those in its place in other sets.
+
+    The other sets differ from the set in one effect.
+    """
+    ties: dict[Effect, list[Effect]] = {effect: [] for effect in own}
+    for other in others:
+        gone, new = set(own) - set(other), set(other) - set(own)
+        if len(gone) == len(new) == 1:
+            ties[gone.pop()].append(new.pop())
+    return ties

@@ -98,13 +98,6 @@ class Start:
     states: Array
     widths: dict[str, float] = field(default_factory=dict)
 
-    def on(self, states: Array) -> Start:
-        """Return the start for other records.
-
-        It keeps its initial states if the number of records agrees; otherwise it takes the given ones.
-        """
-        return self if states.shape[0] == self.states.shape[0] else replace(self, states=states)
-
     def shared(self, effects: Sequence[Effect], absent: Start, share: float) -> Start:
         """Return the start with reduced effects.
 
@@ -124,7 +117,7 @@ class Start:
         return replace(self, values=values, theta=theta, states=states)
 
 
-def likeliest_noise(problem: Problem, colored: bool = True) -> Callable[[Sequence[Array]], Noise]:
+def likeliest_noise(problem: Problem, colored: bool) -> Callable[[Sequence[Array]], Noise]:
     """Return the function that gives the likeliest noise of residuals.
 
     Outputs and rounding steps are those of the records, in units of the weights. Noise is white and normal in
@@ -177,6 +170,11 @@ class Trial:
     def effects(self) -> tuple[Effect, ...]:
         """Return the effects beyond those of the base."""
         return self.hypothesis.effects
+
+    @property
+    def n_coefficients(self) -> int:
+        """Return the number of coefficients that the effects add."""
+        return sum(len(effect.free) for effect in self.effects)
 
     @property
     def first(self) -> int:
@@ -323,9 +321,8 @@ class Trial:
         problem, structure = self.problem, self.problem.structure
         k = self.first + i
         effect, at_port = structure.effects[k], k in structure.port_effects
-        if not problem.in_time or not (at_port or effect.spec.is_element):
-            return None
-        if effect.place not in [port.name for port in structure.model.ports]:
+        ports = [port.name for port in structure.model.ports]
+        if not problem.in_time or effect.place not in ports or not (at_port or effect.spec.is_element):
             return None
         # simulate, then force of the law without its tangent at rest
         theta, starts = problem.unpack(self.point)
@@ -379,9 +376,10 @@ class Trial:
         amplitude, only.
         """
         # equal number of coefficients, and linear where they differ
-        counts = [sum(len(e.free) for e in trial.effects) for trial in (self, other)]
         differing = {e.spec for e in {*self.effects} ^ {*other.effects}}
-        if counts[0] != counts[1] or not all(law.linear or law.delays for law in differing):
+        if self.n_coefficients != other.n_coefficients:
+            return False
+        if not all(law.linear or law.delays for law in differing):
             return False
         if self.elsewhere is None or other.elsewhere is None:
             return False

@@ -24,16 +24,16 @@ from ..inference.refinement import Refinement
 from ..models.controller import Controller
 from ..progress import Progress
 from ..refinement.refine import refine
-from .case import common_horizon, not_held, split_in_parts
+from .case import not_held, split_in_parts
 from .diagnose import Investigation, investigate, parameters_off
-from .error_shares import in_percent
-from .held_out import HeldOutPath, loose, mean_log
+from .held_out import HeldOutPath, case_of_part, exchanged, loose, mean_log
 from .hypothesis import Trial
+from .noise import in_percent
 from .open_law import open_force
-from .result import Diagnosis, Improvement, Step
+from .result import Improvement
 from .search import Search
-from .smaller_motion import case_of_part
 
+_ALONG = 1.0 - 1e-9  # cosine of two force vectors that are one
 _JUDGED, _SETTLED = 30, 10  # sets compared by the error on the second part; most sets refitted of them
 
 
@@ -163,12 +163,8 @@ class _Improver:
 
     def __init__(self, asked: Investigation, most: int) -> None:
         self.found, self.case, self.model, self.most = asked.found, asked.case, asked.model, most
-        physical, case = asked.case.base.physical_model, asked.case
         # held-out parts and one horizon for all of them
-        parts = split_in_parts(case.records, asked.validation)
-        horizon, self.cut = common_horizon(physical, case.ordered, case.settings["horizon"])
-        settings = case.options | {"horizon": horizon}
-        self.path = HeldOutPath(parts, settings, case.levels.matters, case.progress)
+        self.path = HeldOutPath(split_in_parts(self.case.records, asked.validation), self.case)
 
     def improvement(self) -> Improvement:
         """Go to the set of the diagnosis, or by the error where it names none."""
@@ -183,13 +179,12 @@ class _Improver:
             message, notes = self._by_error()
         else:
             message, notes = self._named()
-        linear, parts = found.base.physical_model.linear, path.parts
-        units = self.case.ordered[0].error_units
-        last = path.steps[-1].refinement
+        word = "unexplained" if found.verdict == "unexplained" or not self.most else "adequate"
+        labels, units = found.base.physical_model.linear.output_labels, self.case.ordered[0].error_units
+        notes = [*found.notes, *path.parts.remarks, *notes, *path.said]
+        left = path.errors_on(path.parts.judge, path.last)
         return Improvement(
-            tuple(path.steps), _word(found, self.most), message, linear.output_labels, units,
-            (*found.notes, *parts.remarks, *notes, *self.cut), found.checks,
-            path.errors_on(parts.judge, last), found,
+            tuple(path.steps), word, message, labels, units, tuple(notes), found.checks, left, found
         )  # fmt: skip
 
     def _named(self) -> tuple[str, list[str]]:
@@ -202,7 +197,8 @@ class _Improver:
             beside = found.base if "linear" in found.base.roles and "linear" not in start.roles else None
         if not effects and found.floated is None:  # with what the record as a whole needs, such as its hold
             start = found.base
-        path.follow(start, beside, last, effects, found.verdict, _rivals(found))
+        ties = exchanged(found.effects, (row.effects for row in found.ranking[1:] if row.alike))
+        path.follow(start, beside, last, effects, found.verdict, ties)
         # error on data that no fit has used
         worse = mean_log(path.steps[-1].validation_rmse) > mean_log(path.steps[0].validation_rmse)
         notes = ["The error on the held-out data did not decrease."] if worse else []
@@ -217,17 +213,30 @@ class _Improver:
     def _with_other_name(self, i: int) -> str:
         """Tie a step with the effect that it equals together with an offset.
 
-        Returns a sentence, or an empty string.
+        Returns a sentence, or an empty string: also if no offset acts at the same place.
         """
         step = self.path.steps[i]
-        others = _other_name(step)
-        if not others:
+        effect, held = step.effect, step.refinement
+        if effect is None or not effect.spec.with_offset:
             return ""
-        self.path.steps[i] = replace(step, rivals=(*not_held(step.rivals, others), *others))
-        return (
-            f"{step.effect.label if step.effect else ''} with the constant offset is {others[0].label} by "
-            "another name: the data cannot distinguish them."
-        )
+        model, other = held.physical_model, Effect(effect.spec.with_offset, effect.place)
+        act = model.port(effect.place).act
+        # offset and effect along the same force vector
+        for offset, role in zip(held.effects, held.roles, strict=True):
+            if role != "offset":
+                continue
+            port = next((p for p in model.ports if p.name == offset.place), None)
+            push = offset.spec.push(model.linear, offset.place, None if port is None else port.act)
+            if push is None or not abs(push @ act) > _ALONG * np.linalg.norm(push) * np.linalg.norm(act):
+                continue
+            if not not_held([other], held.effects):
+                return ""
+            self.path.steps[i] = replace(step, rivals=(*not_held(step.rivals, [other]), other))
+            return (
+                f"{effect.label} with the constant offset is {other.label} by another name: the data cannot "
+                "distinguish them."
+            )
+        return ""
 
     # ------------------------------------------------------------------ no set is named
     def _by_error(self) -> tuple[str, list[str]]:
@@ -269,8 +278,8 @@ class _Improver:
             and (not t.hypothesis.floated or parameters_off(t, self.case.levels))
         ][:_JUDGED]
         # their error on fit and choice parts; refit the best ten
-        costs = {t: self._cost(t.model.refinement, t.effects) for t in tried}
-        least = self._cost(search.trials[0].model.refinement, ())
+        costs = {t: self._cost(t) for t in tried}
+        least = self._cost(search.trials[0])
         for trial in sorted(tried, key=costs.__getitem__)[:_SETTLED]:
             if not costs[trial] < least:
                 break
@@ -278,10 +287,10 @@ class _Improver:
                 return trial
         return search.trials[0]
 
-    def _cost(self, model: Refinement, effects: Sequence[Effect]) -> float:
+    def _cost(self, trial: Trial) -> float:
         """Return the mean log error on two parts, with a price per coefficient."""
-        added = sum(len(effect.free) for effect in effects)
-        return 0.5 * (mean_log(model.rmse) + self.path.log_error(model)) + self.case.levels.earned * added
+        model, price = trial.model.refinement, self.case.levels.earned * trial.n_coefficients
+        return 0.5 * (mean_log(model.rmse) + self.path.log_error(model)) + price
 
     def _with_table(self, search: Search) -> str:
         """Add the remaining force, tabulated, as a last step; return a sentence.
@@ -290,7 +299,7 @@ class _Improver:
         fitted. Also if it decreases the error on the second part by less than 5 % (`Levels.earned`).
         """
         # one step left, and a free force that no effect of the set explains
-        path, last = self.path, self.path.steps[-1].refinement
+        path, last = self.path, self.path.last
         if not self.case.in_time or sum(step.effect is not None for step in path.steps) >= self.most:
             return ""
         with self.case.progress.step("free forces"):
@@ -326,7 +335,7 @@ class _Improver:
     def _close(self) -> str:
         """Return the end if the error of the model is too small to matter."""
         path, parts = self.path, self.path.parts
-        last = path.steps[-1].refinement
+        last = path.last
         most = max(one.model for part in (parts.learn, parts.judge) for one in path.errors_on(part, last))
         least = "" if most > path.matters else f", less than what matters ({in_percent(path.matters)})"
         return (
@@ -334,24 +343,6 @@ class _Improver:
             f"motion{least}. It may serve in a simulation, although its effects may only imitate what is "
             "missing."
         )
-
-
-def _word(found: Diagnosis, most: int) -> str:
-    """Return the verdict on the last model."""
-    return "adequate" if most and found.verdict != "unexplained" else "unexplained"
-
-
-def _rivals(found: Diagnosis) -> dict[Effect, list[Effect]]:
-    """Return the effects that the data cannot distinguish from each named one."""
-    if found.best is None:
-        return {}
-    own = set(found.best.effects)
-    ties: dict[Effect, list[Effect]] = {effect: [] for effect in own}
-    for row in found.ranking[1:]:
-        gone, new = own - set(row.effects), set(row.effects) - own
-        if row.alike and len(gone) == len(new) == 1:
-            ties[gone.pop()].append(new.pop())
-    return ties
 
 
 def _with_spread(chosen: Trial) -> Refinement:
@@ -367,25 +358,3 @@ def _with_spread(chosen: Trial) -> Refinement:
         for e, role in zip(model.effects, model.roles, strict=True)
     )
     return replace(model, effects=effects)
-
-
-def _other_name(step: Step) -> list[Effect]:
-    """Return the effect that a step equals together with a constant offset.
-
-    The list is empty if there is none, or if no offset acts at the same place.
-    """
-    effect, held = step.effect, step.refinement
-    if effect is None or not effect.spec.with_offset:
-        return []
-    linear = held.physical_model.linear
-    act = held.physical_model.port(effect.place).act
-    # offset and effect along the same force vector
-    for offset, role in zip(held.effects, held.roles, strict=True):
-        if role != "offset":
-            continue
-        port = next((p for p in held.physical_model.ports if p.name == offset.place), None)
-        push = offset.spec.push(linear, offset.place, None if port is None else port.act)
-        if push is not None and abs(push @ act) > (1 - 1e-9) * np.linalg.norm(push) * np.linalg.norm(act):
-            other = Effect(effect.spec.with_offset, effect.place)
-            return not_held([other], held.effects)
-    return []

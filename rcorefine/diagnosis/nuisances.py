@@ -278,8 +278,7 @@ def with_offsets(base: Refinement, records: Sequence[Measurement], options: dict
     if not np.any(np.abs(y.mean(axis=1)) > levels().zero * y.std(axis=1)):
         return base  # so small an offset does not hide an effect
     everywhere = offsets_everywhere(base.physical_model, ordered)
-    given = {name: options[name] for name in ("tolerance", "offset", "noise", "horizon")}
-    return refit(base, records, offsets=everywhere, elsewhere=False, **given)
+    return refit(base, records, offsets=everywhere, elsewhere=False, **options)
 
 
 def about_hold(trial: Trial, search: Search) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Unpack
+from typing import NamedTuple, Unpack
 
 import control as ct
 import numpy as np
@@ -58,8 +58,7 @@ class OpenLaw:
     rmse: Array
 
 
-@dataclass(eq=False)
-class SingleFits:
+class SingleFits(NamedTuple):
     """Fits of single effects at one base, none of which passes the tests.
 
     Attributes
@@ -90,8 +89,7 @@ class SingleFits:
         return -0.5 * (float(white @ white) + float(moved.sum()) + more * float(np.log(white.size)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FreeForces:
+class FreeForces(NamedTuple):
     """Free forces at the likeliest places, and free curves of channels.
 
     Attributes
@@ -110,6 +108,11 @@ class FreeForces:
     log_likelihoods: dict[str, float]
     law: OpenLaw | None
     left: float
+
+    @property
+    def fit_after(self) -> float:
+        """Fit in percent of the model with the table, 0 without one."""
+        return 0.0 if self.law is None else self.law.fit_after
 
 
 def open_law(fits: SingleFits) -> FreeForces:
@@ -333,22 +336,19 @@ def open_force(search: Search) -> tuple[FreeForces | None, FittedModel]:
     single effect. The forces are None if no single candidate effect was fitted at the chosen base.
     """
     empty = {trial.hypothesis.key: trial for trial in search.trials if not trial.effects}
+    library = set(search.case.library)
     # the model as given first, then with re-estimated parameters
     for nuisances in dict.fromkeys((frozenset[Nuisance](), search.opened)):
         base = search.base(nuisances)
-        offered = [
-            x for x in search.ranked() if x.base is base and set(x.effects) <= set(search.case.library)
-        ]
-        alone = [x for x in offered if len(x.effects) == 1]
+        offered = [x for x in search.ranked() if len(x.effects) == 1 and library.issuperset(x.effects)]
+        alone = [x for x in offered if x.base is base]
         if not alone:
             continue
         whitener = base.problem.whitener([r for r, _ in alone[0].blocks])
         free = open_law(SingleFits(base, alone, whitener))
         opened = empty.get((frozenset(), search.opened))
         # the best fit with a force or effect against that of the parameters alone
-        after = max(
-            free.law.fit_after if free.law else 0.0, *(float(np.mean(x.model.refinement.fit)) for x in alone)
-        )
+        after = max(free.fit_after, *(float(np.mean(x.model.refinement.fit)) for x in alone))
         if opened is None or nuisances or after >= float(np.mean(opened.model.refinement.fit)):
             return free, base
     return None, search.base(search.opened)

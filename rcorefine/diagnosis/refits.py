@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +29,10 @@ _WIDTHS = (0.5, 2.0, 1 / 1.4, 1.4)  # factors on the width over which a jump is 
 _NOISE_ROUNDS, _FINER, _WIDER = 3, 3, 4
 _HOPE = 3.0  # times the predicted gain of the next step, that a descent may still gain
 _IMITATED, _IMITATIONS = 0.6, 3  # most share of a force that an imitation leaves; imitations tried
+
+
+#: Effects, each with the values of its coefficients.
+Starts = list[tuple[Effect, dict[str, float]]]
 
 
 class Fitter:
@@ -204,15 +208,27 @@ class Fitter:
         # iterate: noise model from the residual, fit under its weights
         best = self.scored(trial)
         for _ in range(_NOISE_ROUNDS if best.problem.size else 0):
-            run = _descended(best.problem, best.run, best.noise, gain, evaluations)
-            if not np.isfinite(run.cost):
+            again = self._after(best, best.problem, best.noise, gain, evaluations)
+            if again is None:
                 break
-            again = self.scored(replace(best, run=run))
             gained = again.total - best.total
             best = again if gained > 0 else best
             if gained < 1.0 or not best.noise.uneven:
                 break
         return best
+
+    def _after(
+        self,
+        trial: Trial,
+        problem: Problem,
+        noise: Noise,
+        gain: Array | None,
+        most: int,
+        tolerance: float = 1e-6,
+    ) -> Trial | None:
+        """Return a trial after a descent on a problem, None if it diverges."""
+        run = _descended(problem, trial.run, noise, gain, most, tolerance)
+        return self.scored(replace(trial, problem=problem, run=run)) if np.isfinite(run.cost) else None
 
     def in_free_run(self, trial: Trial) -> Trial:
         """Return the trial at the minimum of its error, with plain weights."""
@@ -227,20 +243,14 @@ class Fitter:
         # finer substeps for force laws that jump
         if problem.stepped and problem.substeps < self.substeps:
             problem = problem.like(substeps=self.substeps)
-            run = _descended(problem, trial.run, trial.noise, gain, 8)
-            if np.isfinite(run.cost):
-                trial = self.scored(replace(trial, problem=problem, run=run))
+            trial = self._after(trial, problem, trial.noise, gain, 8) or trial
         # far from the minimum the weights treat model errors as outliers: one descent without weights
         plain = _descended(problem, trial.run, None, gain, 20, 1e-6)
         if np.isfinite(plain.cost):
             again = self._under_own_noise(replace(trial, run=plain), gain, 8)
             trial = again if again.total > trial.total else trial
-        noise = trial.noise
-        run = _descended(problem, trial.run, noise, gain, 8, 1e-7)
-        if not np.isfinite(run.cost):
-            return trial
-        trial = self.scored(replace(trial, problem=problem, run=run))
-        return self._widths(self.settled(trial, ranked=True), gain)
+        nearest = self._after(trial, problem, trial.noise, gain, 8, 1e-7)
+        return trial if nearest is None else self._widths(self.settled(nearest, ranked=True), gain)
 
     def settled(self, trial: Trial, least: int = 1, *, ranked: bool = False) -> Trial:
         """Return the trial with substeps that no longer matter, but at least some.
@@ -259,8 +269,7 @@ class Fitter:
             change = again.total - trial.total + ranked * (again.lack - trial.lack)
             if finer.substeps > least and abs(change) < (_RANKED_STEP if ranked else _STEP):
                 break
-            run = _descended(finer, again.run, trial.noise, gain, 6, 1e-7)
-            trial = self.scored(replace(again, run=run)) if np.isfinite(run.cost) else again
+            trial = self._after(again, finer, trial.noise, gain, 6, 1e-7) or again
             if ranked:
                 self.substeps = max(self.substeps, min(finer.substeps, _SEARCHED))
         return trial
@@ -294,7 +303,7 @@ class Fitter:
         return trial
 
 
-def plain_cost(problem: Problem, point: Array, gain: Array | None = None) -> float:
+def plain_cost(problem: Problem, point: Array, gain: Array | None) -> float:
     """Return half the sum of squares at a point, infinite after divergence."""
     theta, starts = problem.unpack(problem.inside(point))
     total = 0.0
@@ -362,7 +371,7 @@ def _shapes_of(
 
 def imitations(
     trial: Trial, which: Sequence[int], others: Iterable[Effect], motion: Motion, *, special: bool = False
-) -> list[tuple[Effect, dict[str, float]]]:
+) -> Starts:
     """Return the effects that imitate the force of some effects best.
 
     Each comes with its coefficients. At most `_IMITATIONS` effects are returned, none that leaves more than
@@ -380,28 +389,56 @@ def imitations(
     others = list(others)
     beside = trial.hypothesis.floated and not any(other.spec.is_parameter for other in others)
     linear = np.array([d, v][: 2 * beside] + [np.ones(d.size)][: int(special)]).reshape(-1, d.size)
-
-    def fitted(columns: Sequence[Array]) -> tuple[float, Array]:
-        """Return the sum of squares that columns leave, and their sizes."""
-        F = np.column_stack([*columns, *linear])
-        sizes = np.linalg.lstsq(F, force, rcond=1e-10)[0]
-        return float(np.sum((force - F @ sizes) ** 2)), sizes
-
-    whole = float(np.sum((force - linear.T @ np.linalg.lstsq(linear.T, force, rcond=1e-10)[0]) ** 2))
-    structure, place, options = trial.problem.structure, trial.effects[which[0]].place, []
-    given = {trial.effects[i]: trial.start.values[i] for i in which}
+    structure, place = trial.problem.structure, trial.effects[which[0]].place
+    target = _Force(d, v, w, force, linear, resting(structure, place))
     # share of the force that each law leaves at each shape
-    for other in others:
-        shapes = _shapes_of(other, structure, given, motion)
-        for shape in shapes:
-            free = [n for n in other.free if n not in shape]
-            columns = unit_forces(other, d, v, [shape], w, resting(structure, place))
-            if columns and len(columns) == len(free):
-                left, sizes = fitted(columns)
-                values = {**shape, **dict(zip(free, map(float, sizes), strict=False))}
-                options.append((left / whole, other, values))
+    whole, given = target.left_by(linear.T)[0], {trial.effects[i]: trial.start.values[i] for i in which}
+    options = [
+        (left / whole, other, values)
+        for other in others
+        for left, values in target.imitated(other, _shapes_of(other, structure, given, motion))
+    ]
     best: dict[Effect, dict[str, float]] = {}
     for left, other, values in sorted(options, key=lambda one: one[0]):
         if (special or left < _IMITATED) and len(best) < _IMITATIONS:
             best.setdefault(other, values)
     return list(best.items())
+
+
+class _Force(NamedTuple):
+    """Force along a motion, which another effect may imitate.
+
+    Attributes
+    ----------
+    d, v, w : ndarray
+        Motion at its place, and the inputs.
+    force : ndarray, shape (N,)
+        Force.
+    linear : ndarray, shape (k, N)
+        What else may take a part of it.
+    rest : tuple of float
+        Motion at rest.
+    """
+
+    d: Array
+    v: Array
+    w: Array
+    force: Array
+    linear: Array
+    rest: Any
+
+    def left_by(self, columns: Any) -> tuple[float, Array]:
+        """Return the sum of squares that columns leave, and their sizes."""
+        sizes = np.linalg.lstsq(columns, self.force, rcond=1e-10)[0]
+        return float(np.sum((self.force - columns @ sizes) ** 2)), sizes
+
+    def imitated(
+        self, other: Effect, shapes: Iterable[dict[str, float]]
+    ) -> Iterator[tuple[float, dict[str, float]]]:
+        """Yield what an effect leaves at each shape, and its coefficients."""
+        for shape in shapes:
+            free = [n for n in other.free if n not in shape]
+            columns = unit_forces(other, self.d, self.v, [shape], self.w, self.rest)
+            if columns and len(columns) == len(free):
+                left, sizes = self.left_by(np.column_stack([*columns, *self.linear]))
+                yield left, {**shape, **dict(zip(free, map(float, sizes), strict=False))}

@@ -250,14 +250,18 @@ def _others(tested: TestedResidual, motions: Sequence[Motion]) -> Iterator[FTest
 
 
 def _library(tested: TestedResidual, candidates: Sequence[Candidate], left_out: int) -> FTest:
-    tests = tested.each([c for c in candidates if tested.ratio in c.columns]) if candidates else []
-    tests = [t for t in tests if t.dof]
+    tests = [t for t in tested.each([c for c in candidates if tested.ratio in c.columns]) if t.dof]
     if not tests:
         return FTest("library", 0.0, 0, 1.0, 0.0, 1.0)
-    # the most significant candidate, with Bonferroni's correction for all
-    best, count = min(tests, key=lambda t: t.p_value), len(tests) + left_out
-    p_value, p_equal = (min(1.0, p * count) for p in (best.p_value, min(t.p_equal for t in tests)))
-    return FTest(f"library (most: {best.name})", best.statistic, best.dof, p_value, best.gain, p_equal)
+    best = most_significant(tests, len(tests) + left_out)
+    return replace(best, name=f"library (most: {best.name})")
+
+
+def most_significant(tests: Sequence[FTest], count: int) -> FTest:
+    """Return the most significant test, with Bonferroni's correction."""
+    best = min(tests, key=lambda t: t.p_value)
+    p_value, p_equal = (min(1.0, count * p) for p in (best.p_value, min(t.p_equal for t in tests)))
+    return replace(best, p_value=p_value, p_equal=p_equal)
 
 
 def _parameters(tested: TestedResidual, motion: Motion) -> FTest:
@@ -395,36 +399,42 @@ def _responses(tested: TestedResidual) -> list[tuple[ResponseEngine, ResponseRec
     return [(engine, engine.data) for engine in engines if isinstance(engine, ResponseEngine)]
 
 
+def _path_by_path(tested: TestedResidual, record: ResponseRecord, values: Array) -> Array:
+    """Return weighted columns with the values of one path each.
+
+    The values have the shape (n_y, n_w, n_omega, k).
+    """
+    columns = []
+    for path in np.ndindex(values.shape[:2]):
+        one = np.zeros(values.shape, complex)
+        one[path] = values[path]
+        columns.append(one)
+    weights = tested.fitted.problem.weights[:, None, None]
+    return weights * in_rows(record, np.concatenate(columns, axis=-1))
+
+
 def _smooth(tested: TestedResidual) -> list[Array]:
     """Smooth complex factors on the response from each input to each output."""
-    weights, blocks = tested.fitted.problem.weights, []
+    blocks = []
     for engine, record in _responses(tested):
         # relative error that varies smoothly, complex, for each path
         model, shapes = engine.response(tested.fitted.theta, derivatives=False)[0], over_frequency(record)
         most = max(record.omega.size // _VALUES_PER_COLUMN, 1)
-        shapes = shapes @ np.linalg.svd(shapes, full_matrices=False)[2].T[:, :most]
-        columns = []
-        for i, j in np.ndindex(model.shape[:2]):
-            one = np.zeros(model.shape, complex)
-            one[i, j] = model[i, j]
-            columns += [one[..., None] * shapes, 1j * one[..., None] * shapes]
-        blocks.append(weights[:, None, None] * in_rows(record, np.concatenate(columns, axis=-1)))
+        factors = model[..., None] * (shapes @ np.linalg.svd(shapes, full_matrices=False)[2].T[:, :most])
+        both = np.concatenate([factors, 1j * factors], axis=-1)
+        blocks.append(_path_by_path(tested, record, both))
     return blocks
 
 
 def _short(tested: TestedResidual) -> list[Array]:
     """Responses of a few samples from each input to each output."""
-    weights, blocks = tested.fitted.problem.weights, []
+    blocks = []
     for _, record in _responses(tested):
         # finite impulse response: exp(-j w T k) for a few lags
         lags = np.arange(min(_SHORT_LAGS, max(record.omega.size // _VALUES_PER_COLUMN, 1)))
         turns = np.exp(-1j * record.omega[:, None] * record.dt * lags)
-        columns = []
-        for i, j in np.ndindex(record.n_outputs, record.n_inputs):
-            one = np.zeros((record.n_outputs, record.n_inputs, *turns.shape), complex)
-            one[i, j] = turns
-            columns.append(one)
-        blocks.append(weights[:, None, None] * in_rows(record, np.concatenate(columns, axis=-1)))
+        every = np.broadcast_to(turns, (record.n_outputs, record.n_inputs, *turns.shape))
+        blocks.append(_path_by_path(tested, record, every))
     return blocks
 
 

@@ -20,7 +20,7 @@ from ..inference.refinement import Refinement
 from ..results import Look, Options, Reported, ReportedModel, Row, picture, show, with_error
 from ..systems.linear import Array
 from .check_rows import CheckRow, Detectable
-from .error_shares import ErrorShare
+from .noise import ErrorShare
 from .open_law import HiddenForce, OpenLaw, hidden_force
 from .words import sentences
 
@@ -267,8 +267,9 @@ class Diagnosis(Reported):
         They are empty where none is named.
         """
         # effects count only where the verdict names them
-        named = self.best is not None and self.verdict in ("effect", "ambiguous")
-        return self.best.effects if named and self.best is not None else ()
+        if self.best is None or self.verdict not in ("effect", "ambiguous"):
+            return ()
+        return self.best.effects
 
     def refine(self) -> Refinement:
         """Fit the model with the best set of effects to convergence.
@@ -379,7 +380,10 @@ class Diagnosis(Reported):
                 "experiments are planned for records in time; of frequency responses more outputs, a wider "
                 "band or other amplitudes tell candidates apart"
             )
-        return suggest(self, probability, repeat, amplitudes, lengths, bands, sensors, costs, largest_input)
+        return suggest(
+            self, probability, costs, largest_input, repeat=repeat, amplitudes=amplitudes, lengths=lengths,
+            bands=bands, sensors=sensors,
+        )  # fmt: skip
 
     def ordered_records(self) -> list[Measurement]:
         """The records, channels in the order of the model.

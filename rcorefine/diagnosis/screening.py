@@ -19,6 +19,7 @@ from .hypothesis import Start
 
 _FLAT = 1e-4  # least share of a column outside the span of parameters, offsets and initial states
 _NOTHING = 1e-150  # squared residual of an exact record
+_WIDTH = 6  # sets that each round of the beam search extends
 _MOST_RECORDS = 8  # most records whose initial states are solved for together
 
 
@@ -42,6 +43,10 @@ class Group:
     values: dict[str, float]
     names: list[str]
     at: slice
+
+
+#: A set of groups with its log evidence.
+Ranked = tuple[float, list[Group]]
 
 
 class Metric(NamedTuple):
@@ -207,10 +212,8 @@ class Screen:
         most: int,
         open_: bool,
         price: float,
-        *,
-        width: int = 6,
-        usable: Callable[[Group], bool] = lambda _: True,
-    ) -> list[tuple[float, list[Group]]]:
+        usable: Callable[[Effect], bool] = lambda _: True,
+    ) -> list[Ranked]:
         """Return sets of groups by first-order evidence, the best first.
 
         Parameters
@@ -221,10 +224,8 @@ class Screen:
             Whether the parameters are re-estimated together with the effects.
         price : float
             Penalty per effect in log evidence.
-        width : int
-            Number of sets that each round extends.
         usable : callable
-            Function that tells whether a group may be in a set.
+            Function that tells whether an effect may be in a set.
 
         Returns
         -------
@@ -233,12 +234,12 @@ class Screen:
         """
         # beam search: widen each set by the groups of highest score
         start = self.solve([], open_)[0]
-        found: dict[tuple[int, ...], tuple[float, list[Group]]] = {(): (start, [])}
-        beam: list[tuple[float, list[Group]]] = [(start, [])]
+        found: dict[tuple[int, ...], Ranked] = {(): (start, [])}
+        beam: list[Ranked] = [(start, [])]
         for _ in range(most):
-            fresh: dict[tuple[int, ...], tuple[float, list[Group]]] = {}
+            fresh: dict[tuple[int, ...], Ranked] = {}
             for _, chosen in beam:
-                for group in self._likely(chosen, open_, 2 * width, usable):
+                for group in self._likely(chosen, open_, 2 * _WIDTH, usable):
                     more = [*chosen, group]
                     key = tuple(sorted(id(x) for x in more))
                     if key not in found and key not in fresh:
@@ -247,12 +248,12 @@ class Screen:
                 break
             # rank by evidence with a price per effect; keep the best sets
             ranked = sorted(fresh.items(), key=lambda item: -item[1][0])
-            beam = [one for _, one in ranked[:width]]
-            found |= dict(ranked[: 3 * width])
+            beam = [one for _, one in ranked[:_WIDTH]]
+            found |= dict(ranked[: 3 * _WIDTH])
         return sorted(found.values(), key=lambda one: -one[0])
 
     def _likely(
-        self, chosen: Sequence[Group], open_: bool, most: int, usable: Callable[[Group], bool]
+        self, chosen: Sequence[Group], open_: bool, most: int, usable: Callable[[Effect], bool]
     ) -> list[Group]:
         """Return the best group of each effect that adds most to a set."""
         scores, found = self.next_scores(chosen, open_), dict[Effect, Group]()
@@ -262,7 +263,7 @@ class Screen:
             if not np.isfinite(scores[i]) or len(found) >= most:
                 break
             fits = compatible([g.effect for g in chosen], group.effect)
-            if group.effect not in found and usable(group) and fits:
+            if group.effect not in found and usable(group.effect) and fits:
                 found[group.effect] = group
         return list(found.values())
 
@@ -318,35 +319,47 @@ class Screen:
         states += step[width:].reshape(states.shape)
 
 
+#: Known coefficients, names of the columns, and positions of the columns.
+_Columns = list[tuple[dict[str, float], list[str], Any]]
+
+
 def _groups_of(candidate: Candidate, ratio: float) -> list[tuple[Group, list[Array]]]:
     """Return the groups of a candidate with their blocks (n_y, N, k)."""
     if ratio not in candidate.columns:
         return []
-    # coefficients of the effect: columns at each start, or secant columns as a whole
     law, blocks, p = candidate.effect.spec, candidate.columns[ratio], candidate.fitted.problem.n_theta
-    k = blocks[0].shape[2]
-    own = [q.name for q in candidate.problem.structure.parameters[p:]]
+    k, own = blocks[0].shape[2], [q.name for q in candidate.problem.structure.parameters[p:]]
     starts = [dict(zip(own, map(float, start[p : p + len(own)]), strict=True)) for start in candidate.starts]
-    linear = [j for j, n in enumerate(own) if n not in law.shaping]
-    whole = law.at_channel or not law.shaping or len(own) == len(linear)
-    found: list[tuple[dict[str, float], list[str], Any]] = []  # known values, names of the columns, columns
-    if law.secant:
+    sizes = [name for name in own if name not in law.shaping]
+    found: _Columns
+    if law.secant:  # one column for each start as a whole
         found = [(start, [], slice(i, i + 1)) for i, start in enumerate(starts[:k])]
-    elif k == len(own) * len(starts) and whole:  # one column for each coefficient at each start
-        kept = linear or list(range(len(own)))
-        for i, start in enumerate(starts):
-            shape = {n: v for n, v in start.items() if n in law.shaping} if linear else {}
-            found.append((shape, [own[j] for j in kept], [i * len(own) + j for j in kept]))
+    elif k == len(own) * len(starts) and (law.at_channel or not law.shaping or sizes == own):
+        found = _by_coefficient(own, sizes or own, starts)
     else:
-        shapes = _shapes(candidate)
-        each = max(k // max(len(shapes), 1), 1)
-        names = [own[j] for j in linear] if len(linear) == each else []
-        for i, shape in enumerate(shapes[: k // each]):
-            found.append((shape, names, list(range(i * each, (i + 1) * each))))
+        found = _by_shape(candidate, k, sizes)
     return [
         (Group(candidate.effect, values, names, slice(0, 0)), [b[:, :, pick] for b in blocks])
         for values, names, pick in found
     ]
+
+
+def _by_coefficient(own: Sequence[str], kept: list[str], starts: Sequence[dict[str, float]]) -> _Columns:
+    """Return a group for each start: a column for each size, the shape known."""
+    found = []
+    for i, start in enumerate(starts):
+        shape = {name: value for name, value in start.items() if name not in kept}
+        found.append((shape, kept, [i * len(own) + own.index(name) for name in kept]))
+    return found
+
+
+def _by_shape(candidate: Candidate, k: int, sizes: list[str]) -> _Columns:
+    """Return a group for each shape, with equal parts of the k columns."""
+    shapes = _shapes(candidate)
+    each = max(k // max(len(shapes), 1), 1)
+    names = sizes if len(sizes) == each else []
+    parts = [list(range(i, i + each)) for i in range(0, k - each + 1, each)]
+    return [(shape, names, part) for shape, part in zip(shapes, parts, strict=False)]
 
 
 def _argument(effect: Effect) -> str:

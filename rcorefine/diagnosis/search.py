@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import Any, NamedTuple
@@ -32,9 +32,9 @@ from .nuisances import (
     likely_forces,
     parameters_of,
 )
-from .refits import Fitter, imitations
+from .refits import Fitter, Starts, imitations
 from .residual_tests import in_race, passed_without_library, run_tests
-from .screening import Metric, Screen, compatible
+from .screening import Group, Metric, Screen, compatible
 
 FITTED_SPREAD = 0.2  # prior standard deviation of re-estimated parameters, relative to their size
 _SOUGHT, _BATCH = 4, 2  # effects of each ranking sought in another local minimum; of them at a time
@@ -96,6 +96,7 @@ class Search:
 
     def __init__(self, case: Case, most: int = MOST + 1, *, colored: bool = True, alone: bool = True) -> None:
         self.case, self.most, self.colored = case, most, colored
+        self.step = case.progress.step
         self.fitted, self.motion = case.fitted, case.motions[0]
         self.fitter = Fitter(case.fitted, case.motions[0], colored)
         self.trials: list[Trial] = []
@@ -120,11 +121,9 @@ class Search:
     def base(self, nuisances: frozenset[Nuisance]) -> FittedModel:
         """Return the model fitted with these nuisances."""
         if nuisances not in self._bases:
-            # nuisances in a fixed order: hold, inputs, parameters, forces
-            fitted = self.fitted
-            for kind in (Hold, NoisyInputs, Parameters, UnmeasuredForce):
-                for one in (n for n in nuisances if isinstance(n, kind)):
-                    fitted = one.base(self.case, fitted)
+            fitted, order = self.fitted, [Hold, NoisyInputs, Parameters, UnmeasuredForce]
+            for one in sorted(nuisances, key=lambda one: order.index(type(one))):
+                fitted = one.base(self.case, fitted)
             self._bases[nuisances] = fitted
         return self._bases[nuisances]
 
@@ -256,24 +255,21 @@ class Search:
     # ------------------------------------------------------------------ the search
     def run(self) -> Search:
         """Run the search, fill the table, and return the search."""
-        step = self.case.progress.step
         # model as it is, then with re-estimated parameters
-        with step("the model and its parameters"):
+        with self.step("the model and its parameters"):
             nothing = self.empty(frozenset())
             if self.opened:
                 self.empty(self.opened)
         assert nothing is not None
         strong = self._strong(nothing)
         # first-order screening of the candidates, then single fits
-        with step("first look at every effect"):
+        with self.step("first look at every effect"):
             near = in_race(self.fitted, self.library, (0.0, 1.0) if strong else (0.0,))
             screens = self._screens(self.fitted, near, strong)
         self._singles(screens, strong or not self.case.in_time)
         # the best single effects together with the parameters
-        with step("effects beside the parameters"):
-            alone = [x for x in self.ranked() if len(x.effects) == 1]
-            for trial in [x for x in alone if self.is_open(x.effects[0])][:3]:
-                self._beside_parameters(trial)
+        with self.step("effects beside the parameters"):
+            self._beside_parameters()
         self.polish()
         # do the effects need the re-estimated parameters?
         self._without_parameters()
@@ -286,43 +282,51 @@ class Search:
             self._cores(self.ranked()[:4])
             self.polish()
         self._further()
-        # noise in the inputs and process noise, at the best trials
-        asks = self.colored and self.driven and (self.best.effects or not self.passed(self.best))
-        if asks and (self.passed(self.best) or self.affords("unmeasured forces")):
-            with step("noise of the inputs, unmeasured forces"):
-                self._noisy_inputs()
-                self._forces()
-            self.polish()
+        self._disturbances()
         # other effects with the same force, then special cases
-        with step("other names"):
+        with self.step("other names"):
             self._rename()
         self.polish()
         if self.passed(self.best):  # a special case leaves no smaller residual
             self._simplify()
         return self
 
-    def _further(self) -> None:
-        """Add effects to the best set while it fails its tests and improves."""
-        for _ in range(_ROUNDS):
+    def _disturbances(self) -> None:
+        """Refit the best trials with noise in the inputs and process noise."""
+        if not (self.colored and self.driven):
+            return
+        passed = self.passed(self.best)
+        if (passed and not self.best.effects) or not (passed or self.affords("unmeasured forces")):
+            return
+        with self.step("noise of the inputs, unmeasured forces"):
+            self._noisy_inputs()
+            self._forces()
+        self.polish()
+
+    def _improving(self, most: int) -> Iterator[Trial]:
+        """Yield the best trial before each round, while rounds improve it."""
+        for _ in range(most):
             before = self.best
-            if self.passed(before) or len(before.effects) >= self.most or not self.affords(_MORE):
-                return
-            with self.case.progress.step("effects beside the best ones"):
-                self.relinearized(before)
-            self._cores(self.ranked()[:4])
-            self.polish()
+            yield before
             if self.best is before:
                 return
 
+    def _further(self) -> None:
+        """Add effects to the best set while it fails its tests and improves."""
+        for before in self._improving(_ROUNDS):
+            if self.passed(before) or len(before.effects) >= self.most or not self.affords(_MORE):
+                return
+            with self.step("effects beside the best ones"):
+                self.relinearized(before)
+            self._cores(self.ranked()[:4])
+            self.polish()
+
     def _rename(self) -> None:
         """Refit the best set with fewer effects, and under other names."""
-        for _ in range(_ROUNDS):
-            before = self.best
+        for _ in self._improving(_ROUNDS):
             self._without_parameters()
             self._prune()
             self._names()
-            if self.best is before:
-                return
 
     def _screens(self, fitted: FittedModel, effects: Sequence[Effect], strong: bool) -> list[Screen]:
         """Return screens at a model in up to four metrics.
@@ -342,7 +346,7 @@ class Search:
         found = [plain]
         if any(own.whitener.orders) or own.uneven:
             found.append(made(Metric(own.whitener, own.weights)))
-        best = plain.beam(MOST, True, self.price, usable=lambda g: self.is_open(g.effect))[0]
+        best = plain.beam(MOST, True, self.price, self.is_open)[0]
         parts = np.split(plain.left(best[1], True), np.cumsum([r.size for r in residual])[:-1])
         other = noise([part.reshape(r.shape) for part, r in zip(parts, residual, strict=True)])
         if any(other.whitener.orders) and other.whitener.orders != own.whitener.orders:
@@ -360,7 +364,7 @@ class Search:
         nothing, opened = empty.get(frozenset()), empty.get(self.opened)
         if not self.opened or nothing is None or opened is None or opened.total < nothing.total + _NEAR:
             return []
-        with self.case.progress.step("first look beside the parameters"):
+        with self.step("first look beside the parameters"):
             return self._screens(opened.base, [e for e in near if self.is_open(e)], self._strong(opened))
 
     def _strong(self, trial: Trial) -> bool:
@@ -442,18 +446,13 @@ class Search:
         # beam search in each screen, then a short fit of each set
         for screen in screens:
             # an effect that parameters hide is seen beside them only, alone as well as in sets
-            every = [
-                [
-                    groups
-                    for _, groups in screen.beam(n, True, self.price, usable=lambda g: self.is_open(g.effect))
-                ]
-                for n in (min(MOST, self.most), 1)
-            ]
-            for groups in [own for ranked in every for own in list(filter(None, ranked))[:_SETS]]:
-                effects = tuple(g.effect for g in groups)
-                if self.first_time("set", frozenset(effects)):
-                    start = screen.start(groups, bool(self.opened), base)
-                    tasks.append((Hypothesis(effects, self.opened), base, start))
+            for most in (min(MOST, self.most), 1):
+                sets = [groups for _, groups in screen.beam(most, True, self.price, self.is_open) if groups]
+                for groups in sets[:_SETS]:
+                    effects = tuple(g.effect for g in groups)
+                    if self.first_time("set", frozenset(effects)):
+                        start = screen.start(groups, bool(self.opened), base)
+                        tasks.append((Hypothesis(effects, self.opened), base, start))
         begun = self.case.progress.map(self.fitter.together, tasks, "sets of effects")
         known = [trial for trial in begun if trial is not None]
         # a longer fit of the best four
@@ -462,14 +461,16 @@ class Search:
         for trial in self.ranked(known)[:4]:
             self.try_(trial.effects, trial.hypothesis.nuisances, [trial.start])
 
-    def _beside_parameters(self, trial: Trial) -> None:
-        """Refit a trial of the model as it is with re-estimated parameters."""
-        if not self.opened or not self.first_time("set", frozenset(trial.effects)):
-            return
-        here, base, n = trial.start, self.base(self.opened), self.fitted.problem.n_theta
-        # parameters at their prior means, and as fitted alone
-        thetas = (np.concatenate([here.theta[:n], base.problem.prior_mean[n:]]), base.theta)
-        self.try_(trial.effects, self.opened, [replace(here, theta=theta) for theta in thetas])
+    def _beside_parameters(self) -> None:
+        """Refit the best three single effects with re-estimated parameters."""
+        alone = [x for x in self.ranked() if len(x.effects) == 1 and self.is_open(x.effects[0])]
+        base, n = self.base(self.opened), self.fitted.problem.n_theta
+        for trial in alone[:3] if self.opened else ():
+            if self.first_time("set", frozenset(trial.effects)):
+                # parameters at their prior means, and as fitted alone
+                thetas = (np.concatenate([trial.start.theta[:n], base.problem.prior_mean[n:]]), base.theta)
+                starts = [replace(trial.start, theta=theta) for theta in thetas]
+                self.try_(trial.effects, self.opened, starts)
 
     def _without_parameters(self) -> None:
         """Refit the best trial with the parameters held, from its point."""
@@ -489,32 +490,36 @@ class Search:
         known = len(self.trials)
         if any(not self.is_open(effect) for effect in trial.effects):  # it is re-estimated with all others
             return []
-        # linearize at the trial: what do further effects explain of its residual?
+        # the parameters that the trial holds start at their prior means
+        nuisances, here = trial.hypothesis.nuisances | self.opened, trial.start
+        mean = self.base(nuisances).problem.prior_mean[len(here.theta) :]
+        here = replace(here, theta=np.concatenate([here.theta, mean]))
+        for screen, groups in self._additions(trial):
+            effects = (*trial.effects, *(g.effect for g in groups))
+            fine = len(effects) <= self.most and all(compatible(trial.effects, g.effect) for g in groups)
+            if fine and self.affords(_MORE) and self.first_time("set", frozenset(effects)):
+                values = screen.start(groups, False, trial.model).values
+                weaker = [{n: 0.3 * v for n, v in own.items()} for own in values]
+                starts = [replace(here, values=[*here.values, *more]) for more in (values, weaker)]
+                self.try_(effects, nuisances, starts, noise=trial.noise)
+        return self.trials[known:]
+
+    def _additions(self, trial: Trial) -> Iterator[tuple[Screen, list[Group]]]:
+        """Yield the effects that explain most of a trial's residual.
+
+        They are pairs and single effects of two screens: under white noise, and under that of the residual.
+        """
         fitted = trial.model
-        rest = not_held(self.case.library, fitted.structure.effects)
-        scored = candidate_columns(fitted, [e for e in rest if self.is_open(e)], self.motion, (0.0,))
+        rest = [e for e in not_held(self.case.library, fitted.structure.effects) if self.is_open(e)]
+        scored = candidate_columns(fitted, rest, self.motion, (0.0,))
         numbers = {} if trial.hypothesis.floated else self.numbers
-        here, nuisances = trial.start, trial.hypothesis.nuisances | self.opened
-        if len(here.theta) < self.base(nuisances).problem.n_theta:
-            mean = self.base(nuisances).problem.prior_mean[len(here.theta) :]
-            here = replace(here, theta=np.concatenate([here.theta, mean]))
         residual = fitted.residuals()
         own = self.fitter.noise_of(residual)
         for metric in (Metric(Whitener.fit(residual, order=0)), Metric(own.whitener, own.weights)):
             screen = Screen(fitted, scored, numbers, metric, self.motion)
-            # pairs and single effects of the screen, added to the trial
-            alone, pairs = (
-                [groups for _, groups in screen.beam(2, True, self.price) if len(groups) == n] for n in (1, 2)
-            )
-            for groups in [*pairs[:_PAIRS], *alone[:_ALONE]]:
-                effects = (*trial.effects, *(g.effect for g in groups))
-                fine = len(effects) <= self.most and all(compatible(trial.effects, g.effect) for g in groups)
-                if fine and self.affords(_MORE) and self.first_time("set", frozenset(effects)):
-                    values = screen.start(groups, False, fitted).values
-                    weaker = [{n: 0.3 * v for n, v in own.items()} for own in values]
-                    starts = [replace(here, values=[*here.values, *more]) for more in (values, weaker)]
-                    self.try_(effects, nuisances, starts, noise=trial.noise)
-        return self.trials[known:]
+            ranked = [groups for _, groups in screen.beam(2, True, self.price)]
+            pairs, alone = ([groups for groups in ranked if len(groups) == n] for n in (2, 1))
+            yield from ((screen, groups) for groups in [*pairs[:_PAIRS], *alone[:_ALONE]])
 
     def climbed(self, trial: Trial) -> None:
         """Fit further effects at a trial, and their determined subsets."""
@@ -531,7 +536,7 @@ class Search:
         if not (self.colored and self.driven) or len(holds) > 1:
             return
         others = [Hold(hold) for hold in HOLDS if hold not in holds]
-        with self.case.progress.step("holds of the input"):
+        with self.step("holds of the input"):
             # each other hold with and without re-estimated parameters
             for hold, more in product(others, dict.fromkeys((frozenset[Nuisance](), self.opened))):
                 nuisances = frozenset([hold, *more])
@@ -580,10 +585,7 @@ class Search:
             return
         start, nuisances = trial.start, trial.hypothesis.nuisances
         start = replace(start, values=[start.values[k] for k in kept])
-        again = self.fitter.fit(
-            Hypothesis(effects, nuisances), trial.base, [start], noise=trial.noise, evaluations=10
-        )
-        self.add(again)
+        self.try_(effects, nuisances, [start], noise=trial.noise, evaluations=10)
 
     def _cores(self, trials: Iterable[Trial]) -> None:
         """Fit subsets and special cases of trials with undetermined effects.
@@ -593,8 +595,7 @@ class Search:
         for trial in trials:
             if not trial.effects or self.determined(trial):
                 continue
-            for i, other in self._special_cases(trial):  # a shape that the data leave open is a simpler law
-                self._special_case(trial, i, other)
+            self._special_cases(trial)  # a shape that the data leave open is a simpler law
             if len(trial.effects) < 2:
                 continue
             # drop all undetermined effects at once, then one by one
@@ -608,19 +609,15 @@ class Search:
 
         All are tried: a limit at the end of the record is far from zero, and still limits nothing.
         """
-        for _ in range(MOST):
-            best = self.best
+        for best in self._improving(MOST):
             if len(best.effects) < 2:
                 return
             for i in np.argsort(best.surest):
                 self._without(best, [k for k in range(len(best.effects)) if k != i])
-            if self.best is best:
-                return
 
     def _names(self) -> None:
         """Refit the best set with each force replaced by effects that imitate it."""
-        for _ in range(2):
-            best = self.best
+        for best in self._improving(2):
             # other effects in the place of one or several
             here = best.start
             for gone in _groups(best.effects):
@@ -635,8 +632,6 @@ class Search:
                             replace(here, values=own, states=here.states * q) for q in (gain, 1.0 / gain)
                         ]
                     self.try_(effects, best.hypothesis.nuisances, starts, noise=best.noise, evaluations=10)
-            if self.best is best:
-                return
 
     def _simplify(self) -> None:
         """Refit the special cases of the leading laws.
@@ -644,24 +639,19 @@ class Search:
         Each starts from the optimum of the general law. At a limit of its shape a law equals a simpler one.
         The evidence compares the two only if both are fitted in the same valley.
         """
-        with self.case.progress.step("simpler laws"):
-            for _ in range(_ROUNDS):
-                before, least = self.best, self.posterior(self.best) - _RIVALS
+        with self.step("simpler laws"):
+            for before in self._improving(_ROUNDS):
+                least = self.posterior(before) - _RIVALS
                 for trial in [x for x in self.ranked() if self.posterior(x) > least][:_LEADERS]:
-                    for i, other in self._special_cases(trial):
-                        self._special_case(trial, i, other)
+                    self._special_cases(trial)
                 self.polish()
-                if self.best is before:
-                    return
 
-    def _special_cases(self, trial: Trial) -> list[tuple[int, Effect]]:
-        """Return the special cases of each effect of a trial, with its position."""
-        return [
-            (i, other)
-            for (i, effect), other in product(enumerate(trial.effects), self.library)
-            if other.place == effect.place and other.kind in effect.spec.special_cases
-            if other not in trial.effects
-        ]
+    def _special_cases(self, trial: Trial) -> None:
+        """Fit a trial with each special case of its effects."""
+        for (i, effect), other in product(enumerate(trial.effects), self.library):
+            if other.place == effect.place and other.kind in effect.spec.special_cases:
+                if other not in trial.effects:
+                    self._special_case(trial, i, other)
 
     def _special_case(self, trial: Trial, i: int, other: Effect) -> None:
         """Fit a trial with a special case of one of its effects.
@@ -684,7 +674,7 @@ class Search:
         start = replace(start, values=[*start.values[:i], values, *start.values[i + 1 :]])
         self.try_(effects, nuisances, [start], noise=trial.noise, evaluations=10)
 
-    def _one_signal_effect(self, trial: Trial, which: Sequence[int]) -> list[tuple[Effect, dict[str, float]]]:
+    def _one_signal_effect(self, trial: Trial, which: Sequence[int]) -> Starts:
         """Return the linear effects of channels that may stand for several.
 
         They start at the sum of the delays; the smoothing r(k) = a r(k-1) + (1 - a) y(k) delays a slow signal
@@ -702,7 +692,7 @@ class Search:
             if _of_channel(other) and _is_late(other) and not other.prior and self.first_time(*key, other)
         ]
 
-    def _at_other_ends(self, trial: Trial, i: int) -> list[tuple[Effect, dict[str, float]]]:
+    def _at_other_ends(self, trial: Trial, i: int) -> Starts:
         """Return the same linear effect at the other channels.
 
         Of an entry of B, C or D those are the others: an input at another store looks like a sensor of it.
@@ -715,7 +705,7 @@ class Search:
         values = dict.fromkeys(first.coefficients, 0.0) if of_signals else trial.start.values[i]
         return [(other, values) for other in fresh]
 
-    def _imitations(self, trial: Trial, which: Sequence[int]) -> list[tuple[Effect, dict[str, float]]]:
+    def _imitations(self, trial: Trial, which: Sequence[int]) -> Starts:
         """Return the effects that imitate some effects best.
 
         An effect that is no force is moved to the other channels instead.
@@ -736,7 +726,7 @@ class Search:
 
     def polish(self) -> None:
         """Polish the fits close to the best one, at most `_POLISHED` of them."""
-        with self.case.progress.step("polishing"):
+        with self.step("polishing"):
             # refine one fit after the other, the most probable first
             for _ in range(_POLISHED):
                 best = self.posterior(self.best)
@@ -761,7 +751,7 @@ class Search:
         What the tests said of each trial is kept: its residual hardly changes.
         """
         found = list(trials)
-        with self.case.progress.step("substeps"):
+        with self.step("substeps"):
             for _ in range(2):  # the first may need what only a later one asks for
                 for i, trial in enumerate(found):
                     # the same substeps for all, so that they compare
@@ -774,7 +764,7 @@ class Search:
     def criticized(self, trial: Trial) -> Criticism:
         """Return the results of the residual tests of a trial, computed once."""
         if trial not in self._criticism:
-            with self.case.progress.step("tests"):
+            with self.step("tests"):
                 try:
                     self._criticism[trial] = self._criticize(trial)
                 except ModelError:  # the model diverges within one sample, or no observer exists

@@ -6,8 +6,9 @@ The present record explains these effects equally well.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import control as ct
 import numpy as np
@@ -34,8 +35,7 @@ _DRAWS = 4000
 _KNOWN = 1e-10  # eigenvalue, relative, below which a direction of the coefficients is exactly known
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Contender:
+class Contender(NamedTuple):
     """An explanation of the present record.
 
     Attributes
@@ -71,8 +71,7 @@ class Contender:
         return "nothing missing" if self.effect is None else self.effect.label
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class Plan(NamedTuple):
     """A record to be taken.
 
     Attributes
@@ -99,8 +98,7 @@ class Plan:
     before: int = 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Separation:
+class Separation(NamedTuple):
     """Expected separation that a plan achieves.
 
     Attributes
@@ -122,8 +120,7 @@ class Separation:
     failed: str = ""
 
 
-@dataclass(eq=False)
-class _Side:
+class _Side(NamedTuple):
     """Contender on a plan.
 
     It holds the structure, the coefficients with the information on them, and the starting values.
@@ -215,12 +212,20 @@ def _information_root(covariance: Array) -> Array:
     """
     seen = np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0)
     sd = np.sqrt(np.diag(covariance)[seen])
-    # inverse square root by the eigenvectors of the correlation matrix
-    values, vectors = np.linalg.eigh(covariance[np.ix_(seen, seen)] / np.outer(sd, sd))
-    keep = values > _KNOWN * values.max(initial=0.0)
-    root = np.zeros((int(keep.sum()), covariance.shape[0]))
-    root[:, seen] = (vectors[:, keep] / np.sqrt(values[keep])).T / sd
+    half = _inverse_root(covariance[np.ix_(seen, seen)] / np.outer(sd, sd), _KNOWN)
+    root = np.zeros((half.shape[1], covariance.shape[0]))
+    root[:, seen] = half.T / sd
     return root
+
+
+def _inverse_root(gram: Array, least: float) -> Array:
+    """Return R with R R' equal to the inverse of a matrix.
+
+    Eigenvectors with an eigenvalue below a share of the largest are left out.
+    """
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > least * values.max(initial=0.0)
+    return np.asarray(vectors[:, keep] / np.sqrt(values[keep]))
 
 
 def _simulated(side: _Side, plan: Plan, steps: int) -> Measurement:
@@ -306,9 +311,7 @@ class _Fit:
         # orthonormal basis by the eigenvectors of the normalized Gram matrix
         size = np.linalg.norm(self.slopes, axis=0)
         unit = self.slopes[:, size > 0] / size[size > 0]
-        values, vectors = np.linalg.eigh(unit.T @ unit)
-        keep = values > 1e-12 * values.max(initial=0.0)
-        return np.asarray((unit @ (vectors[:, keep] / np.sqrt(values[keep])))[: self.n_data])
+        return np.asarray((unit @ _inverse_root(unit.T @ unit, 1e-12))[: self.n_data])
 
 
 def _margins(own: _Fit, fits: Sequence[_Fit]) -> Array:
@@ -322,9 +325,7 @@ def _margins(own: _Fit, fits: Sequence[_Fit]) -> Array:
     # spread of the true coefficients under the present information
     spread = np.zeros((n, 0))
     if side.root.shape[0]:
-        values, vectors = np.linalg.eigh(side.root.T @ side.root)
-        keep = values > 1e-14 * values.max(initial=0.0)
-        spread = own.slopes[:n, : side.theta.size] @ (vectors[:, keep] / np.sqrt(values[keep]))
+        spread = own.slopes[:n, : side.theta.size] @ _inverse_root(side.root.T @ side.root, 1e-14)
     Q = own.basis()
     parts = [Q, *(fit.basis() for fit in fits), np.column_stack([fit.residual[:n] for fit in fits])]
     widths = np.cumsum([0, *(part.shape[1] for part in parts)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -20,8 +20,8 @@ from ..inference.refinement import Refinement
 from ..inference.sensitivities import Candidate, candidate_columns
 from .case import Case, not_held
 from .check_rows import Detectable
-from .error_shares import error_shares
 from .hypothesis import Trial, unphysical
+from .noise import error_shares
 from .residual_tests import TestedResidual
 from .result import RankedEffect
 from .search import Search, is_gain, is_number
@@ -54,6 +54,15 @@ class TableRow:
     value: float
     trials: list[Trial]
     same: tuple[Trial, ...] = ()
+
+
+def log_sum(rows: Iterable[TableRow]) -> float:
+    """Return the log of the sum of the probabilities of rows."""
+    return float(np.logaddexp.reduce([row.value for row in rows]))
+
+
+#: Tells whether a trial passes its tests.
+Passed = Callable[[Trial], bool]
 
 
 class Answer(NamedTuple):
@@ -147,7 +156,7 @@ def special(one: Sequence[Effect], other: Sequence[Effect]) -> bool:
     return all(any(inside(e, o) for o in other) for e in one)
 
 
-def answer(search: Search, rows: Sequence[TableRow], passed: Callable[[Trial], bool]) -> Answer:
+def answer(search: Search, rows: Sequence[TableRow], passed: Passed) -> Answer:
     """Return the verdict of a table.
 
     Parameters
@@ -165,7 +174,7 @@ def answer(search: Search, rows: Sequence[TableRow], passed: Callable[[Trial], b
     """
     levels = search.case.levels
     keeps, excluded = -float(np.log(search.case.significance)), -0.5 * levels.rival
-    total = float(np.logaddexp.reduce([row.value for row in rows]))
+    total = log_sum(rows)
     nothing = next(row for row in rows if not row.effects and not row.floated)
     top, first = search.ranked()[0], rows[0]
     # a set that is far more probable but undetermined makes the answer uncertain
@@ -207,25 +216,17 @@ def close_models(search: Search) -> list[Trial]:
     coefficients are returned: the evidence does not decide between models that are all inexact. Parameters
     alone are not returned: they imitate many a law to within what matters.
     """
-    # free runs only; process noise hides model error
-    free_runs = [t for t in search.ranked() if not t.hypothesis.ratio and search.determined(t)]
     nothing = search.trials[0]
     before = _model_error(search, nothing)
     if before <= 1.0:
         return [nothing]
-
-    def close(trial: Trial) -> bool:
-        return _model_error(search, trial) <= min(1.0, _LEFT_OVER * before)
-
+    # free runs only: process noise hides model error
+    sets = [t for t in search.ranked() if t.effects and not t.hypothesis.ratio and search.determined(t)]
+    most = min(1.0, _LEFT_OVER * before)
     # among the close sets those with the fewest coefficients
-    found = [trial for trial in [t for t in free_runs if t.effects][:_CLOSE] if close(trial)]
-    least = min(map(_n_coefficients, found), default=0)
-    return [trial for trial in found if _n_coefficients(trial) == least]
-
-
-def _n_coefficients(trial: Trial) -> int:
-    """Return the number of coefficients that the effects of a trial add."""
-    return sum(len(effect.free) for effect in trial.effects)
+    found = [trial for trial in sets[:_CLOSE] if _model_error(search, trial) <= most]
+    least = min((trial.n_coefficients for trial in found), default=0)
+    return [trial for trial in found if trial.n_coefficients == least]
 
 
 def _model_error(search: Search, trial: Trial) -> float:
@@ -241,8 +242,8 @@ def _likely(rows: Sequence[TableRow], row: TableRow, total: float) -> bool:
     Rows before the given one failed. Its special cases, and rows that contain it, do not count.
     """
     # probability of rows that failed, related sets left out
-    failed = [one.value for one in rows[: rows.index(row)] if not _related(one, row)]
-    return bool(np.logaddexp.reduce(failed or [-np.inf]) < total + np.log(0.5))
+    failed = (one for one in rows[: rows.index(row)] if not _related(one, row))
+    return bool(log_sum(failed) < total + np.log(0.5))
 
 
 def _related(one: TableRow, other: TableRow) -> bool:
@@ -261,48 +262,90 @@ def _family(rows: Sequence[TableRow], row: TableRow) -> list[TableRow]:
     return family
 
 
-def _named(
-    search: Search, rows: Sequence[TableRow], row: TableRow, trial: Trial, passed: Callable[[Trial], bool]
-) -> Answer:
+class _Choice(NamedTuple):
+    """The row and fit that an answer names.
+
+    Attributes
+    ----------
+    row, trial
+        As in `Answer`.
+    family : list of TableRow
+        Other rows whose probability counts for it.
+    contested : bool
+        Whether a simpler law is as probable, but fails its tests: neither of the two is certain then.
+    """
+
+    row: TableRow
+    trial: Trial
+    family: list[TableRow]
+    contested: bool = False
+
+
+def _preferred(
+    search: Search, rows: Sequence[TableRow], row: TableRow, trial: Trial, passed: Passed
+) -> _Choice:
+    """Return a simpler law if it is nearly as probable and passes."""
+    family, least = _family(rows, row), row.value - search.case.levels.family
+    simpler = [r for r in family if special(r.effects, row.effects) and r.value > least]
+    if not simpler:
+        return _Choice(row, trial, family)
+    first = simpler[0]
+    passing = next(filter(passed, first.trials[:3]), None)
+    if passing is not None:
+        return _Choice(first, passing, [r for r in (*family, row) if r is not first])
+    # the evidence does not exclude what the tests reject
+    contested = [row, *simpler]
+    first = max(contested, key=lambda r: r.value)
+    rest = [r for r in family if r not in contested]
+    return _Choice(first, trial if first is row else first.trials[0], rest, True)
+
+
+def _named(search: Search, rows: Sequence[TableRow], row: TableRow, trial: Trial, passed: Passed) -> Answer:
     """Return the answer for a row with a trial that passes its tests."""
-    levels, family = search.case.levels, _family(rows, row)
-    # a simpler law is preferred if it is nearly as probable and passes
-    simpler = [r for r in family if special(r.effects, row.effects) and r.value > row.value - levels.family]
-    passing = [(r, t) for r in simpler[:1] for t in r.trials[:3] if passed(t)]
-    if passing:
-        family.append(row)
-        row, trial = passing[0]
-        family.remove(row)
-    elif simpler:  # the evidence does not exclude what the tests reject: neither is certain
-        contested = [row, *simpler]
-        first = max(contested, key=lambda r: r.value)
-        row, trial = first, trial if first is row else first.trials[0]
-        family = [r for r in family if r not in contested]
-    total = float(np.logaddexp.reduce([r.value for r in rows]))
-    mass = float(np.logaddexp.reduce([r.value for r in [row, *family]]))
+    levels = search.case.levels
+    row, trial, family, contested = _preferred(search, rows, row, trial, passed)
     # probability that the force is of another form, from the free-force odds
     none = 1.0 / (1.0 + float(np.exp(-search.criticized(trial).odds)))
-    probability = float(np.exp(mass - total)) * (1.0 - none)
-    free = trial.hypothesis.floated
-    unasked = not_held(row.effects, search.case.library)
-    effects = tuple(e for e in row.effects if e not in unasked and not (free and is_gain(e)))
+    probability = float(np.exp(log_sum([row, *family]) - log_sum(rows))) * (1.0 - none)
+    # effects to name: without those that were not asked for, and gains beside re-estimated parameters
+    floated, unasked = trial.hypothesis.floated, not_held(row.effects, search.case.library)
+    asked = not_held(row.effects, unasked)
+    effects = tuple(e for e in asked if not (floated and is_gain(e)))
     if not effects:
-        word = "parameters" if free or row.effects else "adequate"
+        word = "parameters" if floated or row.effects else "adequate"
         return Answer(word, row, trial, (), (), (), probability, none)
     # ties: other rows that the data cannot distinguish from this one
-    near = [r for r in rows if r.value > row.value - 0.5 * levels.rival]
-    ties = tuple(r for r in near if r not in (row, *family))
+    least = row.value - 0.5 * levels.rival
+    ties = tuple(r for r in rows if r.value > least and r not in (row, *family))
     # named alone: probable enough, or at least one half and nothing near
-    alone = probability >= levels.named or (probability >= 0.5 and not ties)
-    word = "effect" if alone and (passing or not simpler) else "ambiguous"
+    alone = probability >= (levels.named if ties else min(levels.named, 0.5))
+    word = "effect" if alone and not contested else "ambiguous"
     return Answer(word, row, trial, effects, ties, tuple(family), probability, none)
 
 
+class Listed(NamedTuple):
+    """A set of effects in the ranking.
+
+    Attributes
+    ----------
+    trial : Trial
+        Its fit.
+    probability : float
+        Probability of the set.
+    alike : bool
+        Whether the data cannot distinguish it from the best one.
+    same : tuple of Trial
+        Its fits under other names.
+    """
+
+    trial: Trial
+    probability: float
+    alike: bool
+    same: tuple[Trial, ...]
+
+
 def ranking(
-    trials: Sequence[Trial],
-    probabilities: Sequence[float],
-    alike: Sequence[bool],
-    same: Sequence[Sequence[Trial]],
+    listed: Sequence[Listed],
     nothing: float,
     case: Case,
     validation: Measurement | None,
@@ -311,14 +354,8 @@ def ranking(
 
     Parameters
     ----------
-    trials : sequence of Trial
+    listed : sequence of Listed
         One for each set of effects.
-    probabilities : sequence of float
-        Probability of each set.
-    alike : sequence of bool
-        Whether the data cannot distinguish the set from the best one.
-    same : sequence of sequence of Trial
-        Fits of each set under its other names.
     nothing : float
         Log evidence without any effect.
     case : Case
@@ -333,25 +370,24 @@ def ranking(
     horizon = case.settings["horizon"]
     # fit on validation data, p-values by score tests
     before = _validated(case.base, validation, horizon)
-    every = [*trials, *(trial for others in same for trial in others)]
+    every = [trial for one in listed for trial in (one.trial, *one.same)]
     effects = list(dict.fromkeys(effect for trial in every for effect in trial.effects))
     scored = candidate_columns(case.fitted, effects, case.motions[0], (0.0,))
     tests = TestedResidual(case.fitted).each(scored)
     scores = {c.effect: test.p_value for c, test in zip(scored, tests, strict=True)}
 
-    def row(i: int, trial: Trial, others: tuple[RankedEffect, ...] = ()) -> RankedEffect:
+    def row(i: int, one: Listed, trial: Trial, others: tuple[RankedEffect, ...] = ()) -> RankedEffect:
         refinement = trial.model.refinement
         order = sorted(range(len(trial.effects)), key=lambda k: -trial.surest[k])
         first, *more = (trial.effects[k] for k in order)
-        own = estimates(refinement, first)
-        values = {name: found.coefficient for name, found in own.items()}
-        std = {name: found.std for name, found in own.items()}
         after = _validated(refinement, validation if i < 8 else None, horizon)
         p_value = min(scores.get(effect, 1.0) for effect in trial.effects)
-        figures = (before, after, p_value, float(probabilities[i]), trial.total - nothing)
-        return RankedEffect(first, values, std, *figures, refinement, tuple(more), alike[i], others)
+        figures = (before, after, p_value, float(one.probability), trial.total - nothing)
+        sizes = sizes_of(refinement, first)
+        return RankedEffect(first, *sizes, *figures, refinement, tuple(more), one.alike, others)
 
-    return tuple(row(i, trial, tuple(row(i, one) for one in same[i])) for i, trial in enumerate(trials))
+    rows = enumerate(listed)
+    return tuple(row(i, one, one.trial, tuple(row(i, one, same) for same in one.same)) for i, one in rows)
 
 
 def estimates(refinement: Refinement, effect: Effect) -> dict[str, EstimatedParameter]:
@@ -362,6 +398,12 @@ def estimates(refinement: Refinement, effect: Effect) -> dict[str, EstimatedPara
     name = (effect.kind, effect.place, "effect")
     rows = [row for row in refinement.parameters if (row.kind, row.place, row.role) == name]
     return dict(zip(effect.free, rows, strict=True)) if rows else {}
+
+
+def sizes_of(refinement: Refinement, effect: Effect) -> tuple[dict[str, float], dict[str, float]]:
+    """Return coefficients and standard deviations of an effect, by name."""
+    rows = estimates(refinement, effect).items()
+    return {name: row.coefficient for name, row in rows}, {name: row.std for name, row in rows}
 
 
 def undetermined(refinement: Refinement, effect: Effect, levels: Levels) -> list[EstimatedParameter]:

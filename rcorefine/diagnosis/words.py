@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ from ..inference.levels import levels
 from ..inference.parameters import EstimatedParameter
 from ..inference.refinement import Refinement
 from ..results import chance, with_error
-from .error_shares import in_percent
+from .noise import in_percent
 from .residual_tests import overall
 
 if TYPE_CHECKING:
@@ -75,14 +75,17 @@ def sentences(found: Diagnosis) -> list[str]:
         lines += [*_open_law(found), *_tests(found, worst), *_left(found), *_meaning(found)]
     lines += [*_other_names(found), *_offsets(found), *_other_forces(found)]
     if found.verdict == "ambiguous" and sum(row.alike for row in found.ranking) != 1:
-        lines.append(
-            "More outputs, a wider band or another amplitude would distinguish them."
-            if found.base.of_responses
-            else "suggest_experiment() names a record that would distinguish them."
-        )
+        lines.append(distinguishing(found))
     if found.base.physical_model.operating_point is not None and found.ranking:
         lines.append("At the operating point, each force law is used without its tangent: the model has it.")
     return [*filter(None, lines), *found.notes]
+
+
+def distinguishing(found: Diagnosis) -> str:
+    """Return what would distinguish the candidates that tie."""
+    if found.base.of_responses:
+        return "More outputs, a wider band or another amplitude would distinguish them."
+    return "suggest_experiment() names a record that would distinguish them."
 
 
 def _left(found: Diagnosis) -> list[str]:
@@ -136,13 +139,11 @@ def _other_forces(found: Diagnosis) -> list[str]:
 def _headline(found: Diagnosis) -> str:
     """Return the verdict in a sentence."""
     # adequate in spite of significant tests
-    if np.isfinite(found.adequate_to) and not found.ranking:
-        said = "This record shows no missing effect that matters"
-        return f"{said}: the model is adequate to {in_percent(found.adequate_to)}."
-    if np.isfinite(found.adequate_to) and found.verdict == "unexplained":
-        return (
-            f"No candidate explains all, but {_best(found)} is adequate to {in_percent(found.adequate_to)}."
-        )
+    close = np.isfinite(found.adequate_to) and f"adequate to {in_percent(found.adequate_to)}."
+    if close and not found.ranking:
+        return f"This record shows no missing effect that matters: the model is {close}"
+    if close and found.verdict == "unexplained":
+        return f"No candidate explains all, but {_best(found)} is {close}"
     if found.verdict == "parameters" and found.left_to_noise:
         return "With re-estimated parameters, the residual cannot be distinguished from colored noise."
     if found.floated is not None and far_numbers(determined(found.floated)):
@@ -390,24 +391,19 @@ def determined(model: Refinement) -> list[EstimatedParameter]:
     size = np.abs([row.value for row in rows])  # of logarithms: products of parameters are sums
     widths = np.array([prior[row.kind, row.place] for row in rows]) / size
     C = model.covariance[np.ix_(at, at)] / np.outer(size, size)
-    left, held = C, list[int]()
-    # hold the parameters that determine most others, one after the other
-    while True:
-        sds = np.sqrt(np.maximum(np.diag(left), 1e-300))
-        alike = np.sum(np.abs(left / np.outer(sds, sds)) > np.sqrt(1.0 - _ALONE), axis=0)
-        alike = alike * (sds > _TOLD * widths)
-        if np.max(alike, initial=0) < 2:  # itself
-            break
-        held.append(int(np.argmax(alike)))  # known, it would determine the most others
-        taken = left[:, held[-1]]
-        left = left - np.outer(taken, taken) / taken[held[-1]]
-        left[held[-1]] = left[:, held[-1]] = 0.0
+    return [*(row for i in linear if not (row := model.parameters[i]).initial), *_products(rows, C, widths)]
+
+
+def _products(
+    rows: Sequence[EstimatedParameter], C: np.ndarray, widths: np.ndarray
+) -> Iterator[EstimatedParameter]:
+    """Yield parameters determined alone, and products of the others."""
+    held, left = _held(C, widths)
     # regress the held ones on each: exponents of the product
     powers = -np.linalg.lstsq(C[np.ix_(held, held)], C[held], rcond=None)[0]
-    found = [row for i in linear if not (row := model.parameters[i]).initial]
     for i, row in enumerate(rows):
         if left[i, i] > _ALONE * C[i, i] or C[i, i] < (_TOLD * widths[i]) ** 2:
-            found.append(row)
+            yield row
         elif i not in held:
             name, ratio = row.name, row.value / row.initial
             for k, power in zip(held, powers[:, i], strict=True):
@@ -416,8 +412,37 @@ def determined(model: Refinement) -> list[EstimatedParameter]:
                     name += f" {'*' if power > 0 else '/'} {rows[k].name}{written}"
                     ratio *= abs(rows[k].value / rows[k].initial) ** power
             std = abs(ratio) * float(np.sqrt(max(left[i, i], 0.0)))
-            found.append(replace(row, name=name, initial=1.0, value=ratio, coefficient=ratio - 1.0, std=std))
-    return found
+            yield replace(row, name=name, initial=1.0, value=ratio, coefficient=ratio - 1.0, std=std)
+
+
+def _held(C: np.ndarray, widths: np.ndarray) -> tuple[list[int], np.ndarray]:
+    """Hold the parameters that determine most others, one after the other.
+
+    Parameters
+    ----------
+    C : ndarray, shape (p, p)
+        Covariance of the logarithms of the parameters.
+    widths : ndarray, shape (p,)
+        Prior standard deviations of the logarithms.
+
+    Returns
+    -------
+    held : list of int
+        Positions of the held parameters.
+    left : ndarray, shape (p, p)
+        Covariance of the others beside them.
+    """
+    left, held = C, list[int]()
+    while True:
+        sds = np.sqrt(np.maximum(np.diag(left), 1e-300))
+        alike = np.sum(np.abs(left / np.outer(sds, sds)) > np.sqrt(1.0 - _ALONE), axis=0)
+        alike = alike * (sds > _TOLD * widths)
+        if np.max(alike, initial=0) < 2:  # itself
+            return held, left
+        held.append(int(np.argmax(alike)))  # known, it would determine the most others
+        taken = left[:, held[-1]]
+        left = left - np.outer(taken, taken) / taken[held[-1]]
+        left[held[-1]] = left[:, held[-1]] = 0.0
 
 
 def far_numbers(rows: Sequence[EstimatedParameter]) -> list[str]:
