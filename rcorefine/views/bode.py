@@ -6,8 +6,7 @@ The units follow `control.defaults`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import control as ct
 import numpy as np
@@ -24,7 +23,7 @@ from ..exceptions import DivergenceError, ModelError
 from ..results import Options, picture
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response, hold_factor
-from .figures import BAND, MEASURED, Frame, log_labels, plain, style
+from .figures import BAND, MEASURED, Frame, log_labels, look_of, plain
 
 # |noise| of a complex point stays below this many standard deviations of one component, 95 of 100 times
 _RAYLEIGH_95 = float(np.sqrt(-2.0 * np.log(0.05)))
@@ -35,8 +34,7 @@ _MARKERS = (".", "x", "+")
 _GRAYS = ("0.15", "0.45", "0.65")
 
 
-@dataclass(frozen=True, slots=True)
-class BodeUnits:
+class BodeUnits(NamedTuple):
     """Units of a Bode plot, from the `freqplot` defaults of python-control."""
 
     dB: bool
@@ -66,7 +64,7 @@ class BodeUnits:
     @property
     def phase(self) -> str:
         """Label of the phase axis."""
-        return f"phase [{'deg' if self.deg else 'rad'}]"
+        return f"Phase [{'deg' if self.deg else 'rad'}]"
 
     @property
     def phase_factor(self) -> float:
@@ -110,7 +108,7 @@ class BodeAxes:
             block[1].set(ylim=(-1.1 * half, 1.1 * half), yticks=np.linspace(-half, half, 5))
             if j == 0:
                 of = f"\n{plain(outputs[i])}" if many else ""
-                texts = (self.units.size, self.units.phase.capitalize(), str(extra).capitalize())
+                texts = (self.units.size, self.units.phase, str(extra).capitalize())
                 for axis, text in zip(block, texts, strict=False):
                     axis.set_ylabel(text + of)
             if i == 0 and (len(inputs) > 1 or many):
@@ -277,29 +275,34 @@ def bode(
     """`bode_comparison` in a frame, with a title of its own."""
     models = [m if isinstance(m, LinearModel) else LinearModel.from_statespace(m) for _, m in systems]
     texts = [str(text) for text, _ in systems]
-    if isinstance(measured, Measurement):
-        measured = measured.frequency_response()
-    elif measured is not None and not isinstance(measured, FrequencyResponse):
-        measured = FrequencyResponse.from_frd(measured)
+    measured = as_response(measured)
     outputs, inputs = _channels(texts, models, measured)
     points = None if omega is None else as_vector(omega, "omega", above=0.0)
-    names = frame.labels(texts)
-    rows = 2 if measured is None else 3
-    seen = models if measured is None else [as_sampled(m, measured.dt, measured.hold) for m in models]
+    names, rows = frame.labels(texts), 2 if measured is None else 3
+    if measured is not None:  # a model beside a record is seen with its sampling and hold
+        models = [as_sampled(model, measured.dt, measured.hold) for model in models]
     with frame.axes([1.8, 1.4, 1.2][:rows] * len(outputs), len(inputs)) as (axes, lines):
         drawn = BodeAxes(axes, lines, outputs, inputs, "error" if rows == 3 else None)
-        for index, (name, model) in enumerate(zip(names, seen, strict=True)):
-            grid = bode_grid(model, measured, points)
-            spread = deviation(grid) if deviation is not None and index == len(models) - 1 else None
-            look: dict[str, Any] = dict(style(index)._asdict(), label=name, zorder=3)
-            _draw_model(drawn, model, grid, look, spread)
+        for index, (name, model) in enumerate(zip(names, models, strict=True)):
+            grid, last = bode_grid(model, measured, points), index == len(models) - 1
+            spread = deviation(grid) if deviation is not None and last else None
+            _draw_model(drawn, model, grid, look_of(index, name), spread)
             if measured is not None:
-                _draw_error(drawn, model, measured, look | {"label": f"_{name}"})
+                _draw_error(drawn, model, measured, look_of(index, f"_{name}"))
         if measured is not None:
             drawn.measured(measured, measured.name)
             _scale_error(drawn, measured)
         drawn.limits()
-        return frame.finish(axes, lines, axes[[0, 2][: rows - 1], 0], title)
+        return frame.finish(axes, lines, title, axes[[0, 2][: rows - 1], 0])
+
+
+def as_response(measured: Any) -> FrequencyResponse | None:
+    """Return what was measured as a frequency response; None stays."""
+    if measured is None or isinstance(measured, FrequencyResponse):
+        return measured
+    if isinstance(measured, Measurement):
+        return measured.frequency_response()
+    return FrequencyResponse.from_frd(measured)
 
 
 def bode_grid(model: LinearModel, measured: FrequencyResponse | None, omega: Array | None) -> Array:
@@ -402,11 +405,10 @@ def _scale_error(drawn: BodeAxes, measured: FrequencyResponse) -> None:
         axis.set_ylim(low, max(2.0, min(100.0, 2.0 * float(values.max(initial=1.0)))))
         axis.set_ylabel("Error |G/G$_{meas}$ - 1|" if len(drawn.axes) == 3 else "|G/G$_{meas}$ - 1|")
         if usual.size:
-            x, look = (
-                measured.omega * drawn.units.frequency_factor,
-                {"color": BAND, "linewidth": 0, "zorder": 1},
-            )
-            axis.fill_between(x, low * 1e-3, noise, label="noise only (95 %)", **look)
+            x = measured.omega * drawn.units.frequency_factor
+            axis.fill_between(
+                x, low * 1e-3, noise, label="noise only (95 %)", color=BAND, linewidth=0, zorder=1
+            )  # fmt: skip
 
 
 def level_bode(
@@ -458,8 +460,8 @@ def level_bode(
     with frame.axes([1.9, 1.4] * linear.n_outputs, linear.n_inputs) as (axes, lines):
         drawn = BodeAxes(axes, lines, linear.output_labels, linear.input_labels)
         base = frequency_response(initial, grid) * hold_factor(grid, dt, hold)
-        look: dict[str, Any] = {"color": "0.55", "linestyle": (0, (2, 1.5)), "linewidth": 1.3}
-        drawn.curves(grid, base, look | {"label": "initial model"})
+        dashes = {"color": "0.55", "linestyle": (0, (2, 1.5)), "linewidth": 1.3, "label": "initial model"}
+        drawn.curves(grid, base, dashes)
         for j in range(linear.n_inputs):
             found = frequency_response_at(refinement, grid, peaks, source=j)
             if omega is None:  # with the peaks, which lie between
@@ -468,7 +470,7 @@ def level_bode(
             seen = np.where(found.stable[:, None], found.response, np.nan)  # broken where none is stable
             seen = seen * hold_factor(found.omega, dt, hold)
             for index, name in enumerate(names):
-                look = dict(style(index)._asdict(), label=name if j == 0 else f"_{name}", zorder=3)
+                look = look_of(index, name if j == 0 else f"_{name}")
                 drawn.curves(found.omega, seen[index, :, None], look, j)
         for index, (level, response, own) in enumerate(groups):
             name = response.name
@@ -481,7 +483,7 @@ def level_bode(
                 look = {"color": gray, "linestyle": "-", "linewidth": 0.8, "zorder": 2, "label": text}
                 drawn.curves(own.omega, own.response, look)
         drawn.limits()
-        return frame.finish(axes, lines, [axes[0, 0]])
+        return frame.finish(axes, lines)
 
 
 _Group = tuple[float, FrequencyResponse, FrequencyResponse | None]

@@ -6,9 +6,8 @@ Models, records and calls are written as text.
 from __future__ import annotations
 
 import dataclasses
-import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from ..models.ports import Port
 from ..systems.linear import LinearModel
 from .page import fingerprint, response_facts
 
+_INFINITE = {"nan": "np.nan", "inf": "np.inf", "-inf": "-np.inf"}
 _MOST_POINTS = 4000  # of a measured response
 _LARGEST = 30  # states of a model that is listed in full
 
@@ -53,30 +53,9 @@ def literal(value: Any, indent: int = 0) -> str:
     >>> literal(np.array([[1.0, -2.5]])), literal(("a", float("inf")))
     ('np.array([[1.0, -2.5]])', '("a", np.inf)')
     """
-    if value is None or isinstance(value, (bool, np.bool_)):
-        return repr(value if value is None else bool(value))
-    if isinstance(value, str):
-        return '"' + value.encode("unicode_escape").decode("ascii").replace('"', '\\"') + '"'
-    if isinstance(value, (int, np.integer)):
-        return repr(int(value))
-    if isinstance(value, (float, np.floating)):
-        return repr(float(value)) if math.isfinite(value) else f"np.{float(value)!r}".replace("np.-", "-np.")
-    if isinstance(value, (complex, np.complexfloating)):
-        return repr(complex(value))
-    if isinstance(value, np.ndarray):
-        if value.size > 1 and not value.any():
-            return f"np.zeros({literal(value.shape if value.ndim > 1 else value.shape[0])})"
-        return f"np.array({literal(value.tolist(), indent)})"
-    if isinstance(value, Effect):
-        return _effect(value)
-    if isinstance(value, (LinearModel, PhysicalModel, Port, NominalParameter)):
-        fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
-        own = "" if isinstance(value, LinearModel) else "rco."
-        return ("\n" + " " * indent).join(_call(own + type(value).__name__, [], fields, indent))
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{literal(k)}: {literal(v)}" for k, v in value.items()) + "}"
-    if isinstance(value, (list, tuple)):
-        return _sequence(value, indent)
+    for kinds, write in _WRITTEN:
+        if isinstance(value, kinds):
+            return write(value, indent)
     raise TypeError(f"{type(value).__name__} cannot be written as code")
 
 
@@ -125,6 +104,32 @@ def _effect(effect: Effect) -> str:
     parts += [f"{key}={literal(value)}" for key, value in given.items() if value]
     parts += [f"law={path.replace(':', '.')}"] if path else []
     return f"rco.Effect({', '.join(parts)})"
+
+
+def _object(value: Any, indent: int) -> str:
+    """Write an array, or a part of a model with its fields, as a call."""
+    if isinstance(value, np.ndarray):
+        if value.size > 1 and not value.any():
+            return f"np.zeros({literal(value.shape if value.ndim > 1 else value.shape[0])})"
+        return f"np.array({literal(value.tolist(), indent)})"
+    fields = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    own = "" if isinstance(value, LinearModel) else "rco."
+    return ("\n" + " " * indent).join(_call(own + type(value).__name__, [], fields, indent))
+
+
+#: How values of each class are written; the first class that fits counts.
+_WRITTEN: tuple[tuple[Any, Callable[[Any, int], str]], ...] = (
+    (type(None), lambda value, _: "None"),
+    ((bool, np.bool_), lambda value, _: repr(bool(value))),
+    (str, lambda text, _: '"' + text.encode("unicode_escape").decode("ascii").replace('"', '\\"') + '"'),
+    ((int, np.integer), lambda value, _: repr(int(value))),
+    ((float, np.floating), lambda value, _: _INFINITE.get(repr(float(value)), repr(float(value)))),
+    ((complex, np.complexfloating), lambda value, _: repr(complex(value))),
+    (Effect, lambda effect, _: _effect(effect)),
+    ((np.ndarray, LinearModel, PhysicalModel, Port, NominalParameter), _object),
+    (Mapping, lambda value, _: f"{{{', '.join(f'{literal(k)}: {literal(v)}' for k, v in value.items())}}}"),
+    ((list, tuple), _sequence),
+)
 
 
 def _call(name: str, values: Sequence[Any], keywords: Mapping[str, Any], indent: int = 0) -> list[str]:
@@ -291,23 +296,21 @@ def refinement_code(refinement: Refinement, horizon: float | None = None) -> lis
     ]
 
 
+#: Defaults of the options of a call, as code.
+_DEFAULTS = {
+    "free": ("()", "[]"), "tolerance": ("0.0", "0"), "offset": ("True",), "noise": ("None",),
+    "horizon": ("None",), "significance": ("0.01",),
+}  # fmt: skip
+
+
 def call_options(options: Mapping[str, Any]) -> str:
     """Keywords of a call as text, those at their defaults left out."""
-    defaults = {
-        "free": (), "tolerance": 0.0, "offset": True, "noise": None, "horizon": None, "significance": 0.01,
-    }  # fmt: skip
     text = ""
     for key, value in options.items():
-        if key in defaults and _same(value, defaults[key]):
-            continue
         try:
-            text += f", {key}={literal(value)}"
+            code = literal(value)
         except TypeError as error:
             text += f", {key}=...  {comment(str(error))}\n"
+            continue
+        text += "" if code in _DEFAULTS.get(key, ()) else f", {key}={code}"
     return text
-
-
-def _same(value: Any, default: Any) -> bool:
-    if isinstance(default, tuple):
-        return not isinstance(value, str) and hasattr(value, "__len__") and len(value) == 0
-    return bool(np.all(value == default)) if value is not None and default is not None else value is default

@@ -14,9 +14,11 @@ from ..comparison.model_error import horizon_error
 from ..comparison.result import KINDS, Comparison
 from ..comparison.signals import Decay, correlogram, decay_of
 from ..exceptions import DataError
+from ..results import counted
+from ..systems.linear import Array
 from .bode import bode
 from .failure_map import plot_map
-from .figures import BAND, MEASURED, Frame, busiest_stretch, plain, style, trace, unit_text
+from .figures import BAND, MEASURED, Frame, busiest_stretch, look_of, plain, style, trace, unit_text
 from .tables import TextTable, number
 
 
@@ -47,7 +49,7 @@ def plot_decay(result: Comparison, frame: Frame) -> ct.ControlPlot:
             below = ((measured.period, "Time [s]"), (1 / measured.period, unit_text("Amplitude", unit)))
             for axis, (known, text) in zip(block[1], below, strict=True):
                 axis.set(ylim=(0.95 * np.median(known), 1.05 * np.median(known)), xlabel=text)
-        return frame.finish(axes, lines, [axes[0, 0]], f"Free decay, record {data.name}")
+        return frame.finish(axes, lines, f"Free decay, record {data.name}")
 
 
 def _draw(axes: Any, lines: Any, found: Decay, look: dict[str, Any]) -> None:
@@ -81,9 +83,8 @@ def comparison_table(result: Comparison) -> TextTable:
             sizes = [number(rmse[m, i], 3), number(residual[m, i].mean(), 2)]
             sizes += [number(residual[m, i, worst], 3), number(data.timepts[worst])]
             rows.append([name, output, data.output_units[i], percent, *sizes])
-    count = len(result.names)
     title = (
-        f"{count} model{'s' if count > 1 else ''} on record {data.name!r}: {data.n_samples} samples, "
+        f"{counted(len(result.names), 'model')} on record {data.name!r}: {data.n_samples} samples, "
         f"dt = {number(data.dt, 6)} s, t = {number(data.timepts[0])} ... {number(data.timepts[-1])} s, "
         f"hold {data.hold!r}"
     )
@@ -154,14 +155,13 @@ def plot_time(result: Comparison, frame: Frame) -> ct.ControlPlot:
             lines[2 * i + 1, 0] = []
             lower.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=1)
             for m, name in enumerate(names):
-                look: dict[str, Any] = dict(style(m)._asdict(), zorder=3)
-                look["linewidth"] = 0.8 * look["linewidth"]
                 fit = "" if np.isnan(fits[m, i]) else f" (fit {_percent(fits[m, i])} %)"
+                look = look_of(m, name, linewidth=0.8 * style(m).linewidth)
                 times, run = _broken(data.timepts, result.runs[m, i], result.starts)
-                lines[2 * i, 0] += upper.plot(times, run, label=name + fit, **look)
+                lines[2 * i, 0] += upper.plot(times, run, **look | {"label": name + fit})
                 times, rest = _broken(data.timepts, residual[m, i], result.starts)
                 draw = trace if stretch is None else Axes.plot  # a stretch has room for lines
-                lines[2 * i + 1, 0] += draw(lower, times, rest, label=name, **look)
+                lines[2 * i + 1, 0] += draw(lower, times, rest, **look)
             _focus(upper, data.outputs[i], result.runs[:, i])
             upper.set_ylabel(unit_text(output, unit))
             lower.set_ylabel(unit_text("Residual", unit))
@@ -171,7 +171,7 @@ def plot_time(result: Comparison, frame: Frame) -> ct.ControlPlot:
             axes[-1, 0].set_xlim(stretch)
             title += ", where they differ most"
         axes[0, 0].figure.align_ylabels(axes[:, 0])
-        return frame.finish(axes, lines, axes[::2, 0], title)
+        return frame.finish(axes, lines, title, axes[::2, 0])
 
 
 def _percent(fit: float) -> str:
@@ -215,54 +215,60 @@ def plot_residual(result: Comparison, frame: Frame) -> ct.ControlPlot:
     lags = min(_LAGS, data.n_samples // 4)
     with frame.axes([1.5] * data.n_outputs, 1 + data.n_inputs) as (axes, lines):
         for i, j in np.ndindex(axes.shape):
-            axis = axes[i, j]
-            wide = 0.0
-            for m, name in enumerate(names):
-                e = residual[m, i]
-                if np.ptp(e) == 0.0 or (j and np.ptp(data.inputs[j - 1]) == 0.0):
-                    continue
-                found = correlogram(e if j == 0 else data.inputs[j - 1], e, lags)
-                keep = found.lags > 0 if j == 0 else np.isfinite(found.lags)
-                look: dict[str, Any] = dict(style(m)._asdict(), label=name, zorder=3)
-                look |= {"marker": ".", "markersize": 3.5}
-                lines[i, j] += axis.plot(found.lags[keep], found.correlation[keep], **look)
-                wide = max(wide, float(found.bound[0]))
-                if len(names) > 1 and j:  # each residual has a color of its own, and so a bound
-                    for bound in (-found.bound[0], found.bound[0]):
-                        axis.axhline(bound, color=style(m).color, linewidth=0.8, linestyle=":", zorder=2)
-            look = {"color": BAND, "linewidth": 0, "zorder": 1, "label": "no correlation (99 % per lag)"}
-            axis.axhspan(-wide, wide, **look)
-            axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)
-            if j:
-                axis.axvline(0.0, color=MEASURED, linewidth=0.7, linestyle=":", zorder=2)
+            axis, source = axes[i, j], data.inputs[j - 1] if j else None
+            lines[i, j] = _correlations(axis, residual[:, i], source, lags, names)
             if i == 0:
-                source = data.input_labels[j - 1] if j else ""
-                heading = "with itself" if j == 0 else f"with {source} (left of 0: feedback)"
-                axis.set_title(plain(heading), fontsize="medium")
+                of = f"with {data.input_labels[j - 1]} (left of 0: feedback)" if j else "with itself"
+                axis.set_title(plain(of), fontsize="medium")
             if j == 0:
                 axis.set_ylabel(plain(f"Correlation\n{data.output_labels[i]}"))
         for axis in axes[-1]:
             axis.set_xlabel("Lag [samples]")
-        return frame.finish(axes, lines, [axes[0, 0]], f"Residuals on record {data.name}")
+        return frame.finish(axes, lines, f"Residuals on record {data.name}")
+
+
+def _correlations(
+    axis: Any, residuals: Array, source: Array | None, lags: int, names: Sequence[str]
+) -> list[Any]:
+    """Draw the correlations of residuals with an input or themselves."""
+    drawn, wide, dotted = list[Any](), 0.0, {"linewidth": 0.8, "linestyle": ":", "zorder": 2}
+    for m, (name, e) in enumerate(zip(names, residuals, strict=True)):
+        if np.ptp(e) == 0.0 or (source is not None and np.ptp(source) == 0.0):
+            continue
+        found = correlogram(e if source is None else source, e, lags)
+        keep = found.lags > 0 if source is None else np.isfinite(found.lags)
+        look = look_of(m, name, marker=".", markersize=3.5)
+        drawn += axis.plot(found.lags[keep], found.correlation[keep], **look)
+        bound = float(found.bound[0])
+        wide = max(wide, bound)
+        if len(names) > 1 and source is not None:  # each residual has a color of its own, and so a bound
+            for level in (-bound, bound):
+                axis.axhline(level, color=style(m).color, **dotted)
+    text = "no correlation (99 % per lag)"
+    axis.axhspan(-wide, wide, color=BAND, linewidth=0, zorder=1, label=text)
+    axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)
+    if source is not None:
+        axis.axvline(0.0, color=MEASURED, linewidth=0.7, linestyle=":", zorder=2)
+    return drawn
 
 
 def plot_horizon(result: Comparison, frame: Frame) -> ct.ControlPlot:
     """Error against how far ahead is predicted; see `Comparison.plot`."""
     found = horizon_error(result)
     data = result.data
-    names, led = frame.labels(result.names), "observer"
+    names = frame.labels(result.names)
     with frame.axes([2.2] * data.n_outputs, 1) as (axes, lines):
         for i in range(data.n_outputs):
             axis = axes[i, 0]
             for m, name in enumerate(names):
-                look: dict[str, Any] = dict(style(m)._asdict(), label=name, zorder=3)
-                lines[i, 0] += axis.plot(found.seconds, found.rmse[m, i], marker=".", **look)
+                look = look_of(m, name, marker=".")
+                lines[i, 0] += axis.plot(found.seconds, found.rmse[m, i], **look)
                 axis.axhline(
                     found.free_run[m, i], color=style(m).color, linewidth=0.8, linestyle=":", zorder=2,
-                    label=(led if result.led else "simulation") if m == 0 else None,
+                    label=("observer" if result.led else "simulation") if m == 0 else None,
                 )  # fmt: skip
             label = unit_text(f"RMSE of {data.output_labels[i]}", data.output_units[i])
             axis.set(xscale="log", yscale="log", ylabel=label)
         axes[-1, 0].set_xlabel("Prediction horizon [s]")
         title = f"Error against prediction horizon, record {data.name}"
-        return frame.finish(axes, lines, [axes[0, 0]], title)
+        return frame.finish(axes, lines, title)

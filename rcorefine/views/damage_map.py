@@ -121,7 +121,7 @@ def plot_damage(result: DamageMap, frame: Frame, *, kind: str | None = None) -> 
             label = unit_text(f"change of {name}", "%" if relative else rows[0].unit)
             panel.set(ylabel=label, xlim=(-0.6, len(rows) - 0.4))
         title = plain(f"Changes in {result.name} (dark bars: named places)")
-        return frame.finish(axes, lines, [axes[0, 0]], title)
+        return frame.finish(axes, lines, title)
 
 
 def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:
@@ -140,8 +140,8 @@ def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:
     for named, shade, text in ((True, _CHANGED, "named"), (False, _UNCHANGED, "not named")):
         chosen = [i for i, row in enumerate(rows) if row.named == named]
         if chosen:
-            look = {"color": shade, "edgecolor": "black", "label": text}
-            drawn += list(panel.bar(where[chosen], values[chosen], 0.6, **look))
+            bars = panel.bar(where[chosen], values[chosen], 0.6, color=shade, edgecolor="black", label=text)
+            drawn += list(bars)
     finite = np.isfinite(spread)
     panel.errorbar(
         where[finite], values[finite], spread[finite], fmt="none", ecolor="black", elinewidth=1.2, capsize=5,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -39,27 +39,26 @@ def plain(value: Any) -> Any:
     if isinstance(value, complex | np.ndarray | np.generic):
         if np.iscomplexobj(value):
             return {"re": plain(value.real), "im": plain(value.imag)}
-        return plain(np.asarray(value).tolist())
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    if value is None or isinstance(value, str | int):
-        return value
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [plain(item) for item in value]
-    if isinstance(value, Effect):
-        return {"kind": value.kind, "place": value.place}
-    if isinstance(value, Measurement):
-        return {"name": value.name, "samples": value.n_samples, "dt": value.dt}
-    if isinstance(value, LinearModel | PhysicalModel):
-        return value.name
-    if isinstance(value, Refinement | FailureMap | Row):
-        return as_dict(value)
+        value = np.asarray(value).tolist()
+    for kinds, make in _PLAIN:
+        if isinstance(value, kinds):
+            return make(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type | Result):
         return plain(fields(value))
     return str(value)
 
+
+#: How values of each class become plain; the first class that fits counts.
+_PLAIN: tuple[tuple[Any, Callable[[Any], Any]], ...] = (
+    (float, lambda value: value if np.isfinite(value) else None),
+    ((type(None), str, int), lambda value: value),
+    (Mapping, lambda value: {str(key): plain(item) for key, item in value.items()}),
+    ((list, tuple, set, frozenset), lambda value: [plain(item) for item in value]),
+    (Effect, lambda effect: {"kind": effect.kind, "place": effect.place}),
+    (Measurement, lambda data: {"name": data.name, "samples": data.n_samples, "dt": data.dt}),
+    ((LinearModel, PhysicalModel), lambda model: model.name),
+    ((Refinement, FailureMap, Row), as_dict),
+)
 
 #: The rows of a result, where it has several tables.
 _MAIN = ("rows", "ranking", "steps", "parameters", "estimates", "options")
@@ -80,11 +79,12 @@ def as_frame(result: Data) -> Any:
 
 def _main(found: Mapping[str, Any]) -> Any:
     """Return the rows of a result, else its columns, else its values."""
-    for name in (*(name for name in _MAIN if name in found), *found):
-        rows = found[name]
-        if isinstance(rows, list) and rows and isinstance(rows[0], dict):
-            return [_flat(row) for row in rows]
-    series = {name: v for name, v in found.items() if isinstance(v, list) and v and _are_numbers(v)}
+    lists = {name: value for name, value in found.items() if isinstance(value, list) and value}
+    for name in (*_MAIN, *found):
+        if name in lists and isinstance(lists[name][0], dict):
+            return [_flat(row) for row in lists[name]]
+    # the longest lists of numbers are columns
+    series = {name: v for name, v in lists.items() if all(isinstance(x, int | float | None) for x in v)}
     size = max(map(len, series.values()), default=0)
     return {name: v for name, v in series.items() if len(v) == size} if size > 1 else [_flat(found)]
 
@@ -101,7 +101,3 @@ def _flat(row: Mapping[str, Any], above: str = "") -> dict[str, Any]:
         elif not isinstance(value, list):
             found[f"{above}{key}"] = value
     return found
-
-
-def _are_numbers(values: list[Any]) -> bool:
-    return all(value is None or isinstance(value, int | float) for value in values)

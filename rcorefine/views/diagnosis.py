@@ -14,7 +14,7 @@ from ..data.measurement import Measurement
 from ..diagnosis.confirm import Confirmation
 from ..diagnosis.experiments import ExperimentAdvice
 from ..diagnosis.open_law import HiddenForce
-from ..diagnosis.result import Diagnosis
+from ..diagnosis.result import Diagnosis, RankedEffect
 from ..effects.effect import unit_forces
 from ..engine.simulation import simulated
 from ..exceptions import ModelError
@@ -22,7 +22,7 @@ from ..results import chance, estimate
 from ..systems.linear import Array
 from .bode import BodeAxes, BodeUnits
 from .content import Content, content, fields
-from .figures import BAND, MEASURED, Frame, plain, style, trace, unit_text, write_at
+from .figures import BAND, MEASURED, Frame, look_of, plain, style, trace, unit_text, write_at
 from .tables import TextTable, cells, number
 
 _SHOWN = 8
@@ -95,20 +95,23 @@ def _models(found: Diagnosis) -> dict[str, Any]:
     return models
 
 
-def _plot_of_responses(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
-    """Draw the evidence of a diagnosis of frequency responses.
-
-    It shows the first response; see `Diagnosis.plot`.
-    """
+def _panels_of_responses(axes: Any, lines: Any, found: Diagnosis) -> list[int]:
+    """Draw the first response with its residual; return axes with a legend."""
     models = _models(found)
     first: Any = found.records[0]
     result: FrequencyComparison = compare([*models.values()], first)
     i, j = np.unravel_index(int(np.argmin(result.fit[0])), result.fit[0].shape)
-    with frame.axes([1.0, 1.0], 2, figsize=(10.5, 7.2), sharex=False) as (axes, lines):
-        lines[0, 0] = _bars(axes[0, 0], found)
-        lines[0, 1] = _residual(axes[0, 1], result, [*models], (i, j))
-        _curves(axes[1], lines[1], result, [*models], (i, j))
-        return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 0]], _title_of(found))
+    lines[0, 1] = _residual(axes[0, 1], result, [*models], (i, j))
+    _curves(axes[1], lines[1], result, [*models], (i, j))
+    return [0, 1, 2]
+
+
+def _panels_in_time(axes: Any, lines: Any, found: Diagnosis) -> list[int]:
+    """Draw force and residuals of a record; return axes with a legend."""
+    record = found.ordered_records()[0]
+    lines[0, 1] = _force(axes[0, 1], found, record)
+    lines[1, 0], lines[1, 1] = _residuals(axes[1], found, record)
+    return [0, 1, 3]
 
 
 def _residual(ax: Any, result: FrequencyComparison, names: list[str], at: Any) -> list[Any]:
@@ -131,7 +134,7 @@ def _curves(axes: Any, lines: Any, result: FrequencyComparison, names: list[str]
     measured, (i, j) = result.measured, at
     drawn = BodeAxes(axes[:, None], lines[:, None], [measured.output_labels[i]], [measured.input_labels[j]])
     dots = {"color": MEASURED, "marker": ".", "markersize": 3, "linestyle": "none", "label": measured.name}
-    looks = [style(m)._asdict() | {"label": name} for m, name in enumerate(names)]
+    looks = [look_of(m, name, zorder=2) for m, name in enumerate(names)]
     for response, look in zip((measured.response, *result.responses), (dots, *looks), strict=True):
         drawn.curves(measured.omega, response[None, None, i, j], look)
     for axis in axes:
@@ -172,6 +175,23 @@ def ranking_table(found: Diagnosis, *, full: bool = False) -> TextTable:
     return TextTable(headers, rows)
 
 
+def caption_of(found: Diagnosis) -> str:
+    """Say what the picture of a diagnosis shows."""
+    if found.floated is not None:
+        return (
+            "The residual tests of the model as given; and the residual before and after its parameters were "
+            "re-estimated."
+        )
+    if found.best is None:
+        return "The residual tests of the model, and its residual."
+    if found.base.of_responses:
+        return "The candidates, the most probable first; the residual and the response with and without them."
+    return (
+        "The candidates, the most probable first; the force that was estimated at the place of the "
+        "best one, with its formula; and the residual with and without it."
+    )
+
+
 def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
     """Draw the evidence of a diagnosis.
 
@@ -179,14 +199,11 @@ def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
     Axes: ranking (or tests, where nothing is missing), hidden force estimated without
     any formula with the curve of the effect through it, residual in time, residual in frequency.
     """
-    if found.base.of_responses:
-        return _plot_of_responses(found, frame)
-    record = found.ordered_records()[0]
+    draw = _panels_of_responses if found.base.of_responses else _panels_in_time
     with frame.axes([1.0, 1.0], 2, figsize=(10.5, 7.2), sharex=False) as (axes, lines):
         lines[0, 0] = _bars(axes[0, 0], found)
-        lines[0, 1] = _force(axes[0, 1], found, record)
-        lines[1, 0], lines[1, 1] = _residuals(axes[1], found, record)
-        return frame.finish(axes, lines, [axes[0, 0], axes[0, 1], axes[1, 1]], _title_of(found))
+        legends = draw(axes, lines, found)
+        return frame.finish(axes, lines, _title_of(found), axes.flat[legends])
 
 
 def _channel_curve(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
@@ -204,23 +221,29 @@ def _channel_curve(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
 
 
 def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
+    """Draw what is known of the force at the place of the best candidate."""
     if found.open_law is not None and found.open_law.effect.spec.at_channel:
         return _channel_curve(ax, found, record)
-    best, hidden = found.best, found.hidden_force
-    if best is None or hidden is None:
-        said = f"{found.place}\nis in the signal path: no force"
-        said = "no additional effect is needed" if best is None else said
-        ax.text(0.5, 0.5, said, ha="center", va="center", transform=ax.transAxes)
-        ax.set_axis_off()
-        return []
+    if found.best is not None and found.hidden_force is not None:
+        return _force_over_motion(ax, found, found.best, found.hidden_force, record)
+    said = f"{found.place}\nis in the signal path: no force"
+    said = "no additional effect is needed" if found.best is None else said
+    ax.text(0.5, 0.5, said, ha="center", va="center", transform=ax.transAxes)
+    ax.set_axis_off()
+    return []
+
+
+def _force_over_motion(
+    ax: Any, found: Diagnosis, best: RankedEffect, hidden: HiddenForce, record: Measurement
+) -> list[Any]:
+    """Draw the estimated force over the motion, its means, and the law."""
     along_d = "position" in best.effect.spec.needs
     motion = hidden.d if along_d else hidden.v
     unit = hidden.position_unit if along_d else hidden.velocity_unit
-    first_order = not np.any(hidden.d)
-    what = "displacement" if along_d else "motion" if first_order else "velocity"
+    moves = "velocity" if np.any(hidden.d) else "motion"  # a first-order place has one signal
     skip = max(record.n_samples // 50, 1)
     inner = slice(skip, -skip)
-    law, label = _law(found, hidden, motion, record.inputs)
+    law, label = _law(found, best, hidden, motion, record.inputs)
     # a constant force passes for the offset: the estimate has none, the law's is put in its place
     force = hidden.force - hidden.force[inner].mean() + (0.0 if law is None else float(np.mean(law[1])))
     motion, force = motion[inner], force[inner]
@@ -233,21 +256,20 @@ def _force(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     points += ax.plot(centers, means, "o", color=MEASURED, ms=4, label="mean over intervals of the motion")
     if law is not None:
         points += ax.plot(*law, color=style(1).color, ls=style(1).linestyle, lw=2, label=label)
-    ax.set_xlabel(unit_text(f"{what} at {hidden.place}", unit))
+    ax.set_xlabel(unit_text(f"{'displacement' if along_d else moves} at {hidden.place}", unit))
     ax.set_ylabel(unit_text("hidden resisting force", hidden.force_unit))
     ax.set_title("Force estimated from the record")
     return list(points)
 
 
 def _law(
-    found: Diagnosis, hidden: HiddenForce, motion: Array, w: Array
+    found: Diagnosis, best: RankedEffect, hidden: HiddenForce, motion: Array, w: Array
 ) -> tuple[tuple[Array, Array] | None, str]:
     """Return the force of the effect along the motion, and its label.
 
     The points are sorted by the motion, unless the effect has memory or needs several signals.
     """
-    assert found.best is not None
-    effect, values = found.best.effect, dict(found.best.coefficients)
+    effect, values = best.effect, dict(best.coefficients)
     if found.open_law is not None:
         effect, values = found.open_law.effect, {"scale": 1.0}
     columns = unit_forces(effect, hidden.d, hidden.v, [{**values, **effect.fixed}], w)
@@ -327,7 +349,7 @@ def plot_hidden_force(found: HiddenForce, frame: Frame) -> ct.ControlPlot:
         for k, (axis, (x, name, unit)) in enumerate(zip(over_motion, motions, strict=True), 1):
             lines[0, k] = axis.plot(x, f, ".", color="0.5", ms=2, alpha=0.5)
             axis.set_xlabel(unit_text(f"{name} at {found.place}", unit))
-        return frame.finish(axes, lines, [over_time], f"Hidden force at {found.place}")
+        return frame.finish(axes, lines, f"Hidden force at {found.place}")
 
 
 @content.register
@@ -357,33 +379,36 @@ def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
     (name,) = frame.labels(["candidates distinguished"])
     with frame.axes([1.0], 1, figsize=(7.0, 1.6 + 0.32 * max(len(options), 1))) as (axes, lines):
         ax = axes[0, 0]
-        rows = np.arange(len(options))
-        colors = ["C0" if option is advice.chosen else "0.7" for option in options]
-        values = [option.probability for option in options]
-        bars = ax.barh(rows, values, color=colors, label=name)
-        for row, option in zip(rows, options, strict=True):
-            text = "not possible" if option.failed else f"{option.probability:.2f}"
-            far = f", {option.reach:.2g} x the motion" if 1.25 < option.reach < np.inf else ""
-            inside = option.probability > 0.7
-            look: dict[str, Any] = {"ha": "right" if inside else "left", "va": "center", "fontsize": "small"}
-            look["color"] = "white" if inside and option is advice.chosen else "black"
-            write_at(ax, text + far, (option.probability, row), (-4 if inside else 4, 0), **look)
-        look = {"color": "C3", "linestyle": "--", "linewidth": 1.2, "zorder": 0, "label": "required"}
-        line = ax.axvline(advice.probability, **look)
-        ax.set_yticks(rows, [f"{option.name} ({option.cost:.2g})" for option in options])
+        bars = _option_bars(ax, advice, name)
+        least = ax.axvline(advice.probability, color="C3", ls="--", lw=1.2, zorder=0, label="required")
+        lines[0, 0] = [*bars, least]
+        ax.set_yticks(range(len(options)), [f"{option.name} ({option.cost:.2g})" for option in options])
         ax.invert_yaxis()
         ax.set(xlim=(0, 1), xlabel="probability that only the true effect remains")
         heading = "Next experiment (cost in record lengths)" if options else "Nothing to separate"
         ax.set_title(heading if frame.title is None else frame.title)
-        lines[0, 0] = [*bars, line]
-        legend = None
+        legend, loc = None, frame.legend_loc
         if frame.show_legend or (frame.legends and options):
-            if frame.ax is None and not isinstance(frame.legend_loc, str):
-                legend = ax.figure.legend(loc="outside lower center", ncols=2)
-            else:
-                place = frame.legend_loc if isinstance(frame.legend_loc, str) else "best"
-                legend = ax.legend(loc=place, framealpha=0.9)
+            own = frame.ax is None and not isinstance(loc, str)
+            place: dict[str, Any] = {"loc": loc if isinstance(loc, str) else "best", "framealpha": 0.9}
+            outside = {"loc": "outside lower center", "ncols": 2}
+            legend = ax.figure.legend(**outside) if own else ax.legend(**place)
     return ct.ControlPlot(lines, axes, ax.figure, legend)
+
+
+def _option_bars(ax: Any, advice: ExperimentAdvice, name: str) -> Any:
+    """Draw the probability of each option as a bar with its figure."""
+    colors = ["C0" if option is advice.chosen else "0.7" for option in advice.options]
+    values = [option.probability for option in advice.options]
+    bars = ax.barh(range(len(values)), values, color=colors, label=name)
+    for row, option in enumerate(advice.options):
+        text = "not possible" if option.failed else f"{option.probability:.2f}"
+        far = f", {option.reach:.2g} x the motion" if 1.25 < option.reach < np.inf else ""
+        inside = option.probability > 0.7
+        look: dict[str, Any] = {"ha": "right" if inside else "left", "va": "center", "fontsize": "small"}
+        look["color"] = "white" if inside and option is advice.chosen else "black"
+        write_at(ax, text + far, (option.probability, row), (-4 if inside else 4, 0), **look)
+    return bars
 
 
 @content.register
@@ -437,4 +462,4 @@ def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlo
             axis.set_xlim(-0.5, len(names) - 0.5)
             axis.set_ylabel(unit_text(confirmation.names[i], confirmation.units[i]))
         legends = [axes[0, 0]] if frame.label is not None or frame.show_legend else []
-        return frame.finish(axes, lines, legends, f"Each record alone: {confirmation.verdict}")
+        return frame.finish(axes, lines, f"Each record alone: {confirmation.verdict}", legends)

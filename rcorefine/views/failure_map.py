@@ -88,7 +88,7 @@ def plot_map(result: Comparison, frame: Frame) -> ct.ControlPlot:
             lines[2, m] = _frequencies(axes[2, m], result, m, found)
             lines[3, m] = _motions(axes[3, m], result, m, found)
         title = f"Where the model fails on record {result.data.name}"
-        return frame.finish(axes, lines, [axes[2, 0]], title)
+        return frame.finish(axes, lines, title, [axes[2, 0]])
 
 
 def _shares(axis: Any, found: FailureMap, name: str) -> list[Any]:
@@ -97,8 +97,9 @@ def _shares(axis: Any, found: FailureMap, name: str) -> list[Any]:
     drawn = []
     for k, row in enumerate(rows):
         color, hatch = _LOOKS[row.dimension]
-        look = {"color": color, "hatch": hatch, "edgecolor": "white", "alpha": 0.85, "height": 0.7}
-        drawn += list(axis.barh(k, 100 * row.share, **look))
+        drawn += axis.barh(
+            k, 100 * row.share, color=color, hatch=hatch, edgecolor="white", alpha=0.85, height=0.7
+        )  # fmt: skip
         text = plain(clip(f"{row.dimension}: {row.where} ({row.measure})", 62))
         axis.text(1.5, k, text, va="center", fontsize="x-small", zorder=4,
                   bbox={"facecolor": "white", "alpha": 0.8, "linewidth": 0, "pad": 0.8})  # fmt: skip

@@ -55,6 +55,11 @@ def style(index: int) -> Style:
     return _STYLES[index % len(_STYLES)]
 
 
+def look_of(index: int, label: str, **more: Any) -> dict[str, Any]:
+    """Style and label of curve `index`, as `Axes.plot` takes them."""
+    return {**style(index)._asdict(), "label": label, "zorder": 3, **more}
+
+
 @dataclass(frozen=True, kw_only=True)
 class Frame:
     """Axes, labels, settings and legends of one plot.
@@ -158,7 +163,7 @@ class Frame:
         return [str(text) for text in labels]
 
     def finish(
-        self, axes: Any, lines: Any, legends: Sequence[Any], title: str | None = None
+        self, axes: Any, lines: Any, title: str | None = None, legends: Sequence[Any] | None = None
     ) -> ct.ControlPlot:
         """Set title and legends and wrap up as `control.ControlPlot`.
 
@@ -166,12 +171,13 @@ class Frame:
         ----------
         axes, lines
             2-D arrays of axes and of lists of lines.
-        legends : sequence of Axes
-            Axes that get a legend unless it is switched off.
         title : str, optional
             The picture's own title: where none was given, and not in a figure of the caller's.
+        legends : sequence of Axes, optional
+            Axes that get a legend unless it is switched off; default the first.
         """
         legend = None
+        legends = axes.flat[:1] if legends is None else legends
         for axis in legends if self.legends else ():
             handles, labels = axis.get_legend_handles_labels()
             if labels:

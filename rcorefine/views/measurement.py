@@ -69,7 +69,7 @@ def plot_measurement(data: Measurement, frame: Frame) -> ct.ControlPlot:
         axes[-1, 0].set_xlabel("Time [s]")
         axes[0, 0].figure.align_ylabels(axes[:, 0])
         legends = [axes[0, 0]] if frame.show_legend or not fresh or frame.legend_loc else []
-        return frame.finish(axes, lines, legends, f"Record {data.name}")
+        return frame.finish(axes, lines, f"Record {data.name}", legends)
 
 
 @content.register
@@ -141,7 +141,7 @@ def plot_frequency_response(measured: FrequencyResponse, frame: Frame) -> ct.Con
             lines[3 * i + 2, j] = axes[3 * i + 2, j].plot(x, share, color=MEASURED, linewidth=1.0)
             axes[3 * i + 2, j].set_ylim(0.0, 1.05)
         title = f"Measured frequency response of {measured.name}"
-        return frame.finish(axes, lines, [axes[0, 0]], title)
+        return frame.finish(axes, lines, title)
 
 
 _HEADERS = ["", "looked at", "where", "found"]

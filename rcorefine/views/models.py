@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import as_choice
-from ..data.measurement import Measurement
 from ..diagnosis.result import Improvement
 from ..effects.effect import Effect
 from ..inference.parameters import EstimatedParameter
@@ -19,7 +18,7 @@ from ..models.physical_model import PhysicalModel
 from ..results import counted
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
-from .bode import bode, bode_grid, level_bode
+from .bode import as_response, bode, bode_grid, level_bode
 from .content import Content, content, fields
 from .figures import BAND, Frame, plain, style, unit_text, write_at
 from .page import signal_names
@@ -105,8 +104,7 @@ def plot_bode(
     """
     if levels is not None:
         return level_bode(found, levels, measured, omega, frame)
-    if isinstance(measured, Measurement):
-        measured = measured.frequency_response()
+    measured = as_response(measured)
     systems = [("initial", found.physical_model.system), ("refined", found.system)]
 
     def deviation(grid: Array) -> Array:
@@ -136,7 +134,7 @@ def plot_response(
             for i, j in np.ndindex(size):
                 to, by = systems[1].output_labels[i], systems[1].input_labels[j]
                 axes[i, j].set_title(f"{plain(by)} to {plain(to)}", fontsize="medium")
-        return frame.finish(axes, lines, axes[:1, 0], f"{found.physical_model.linear.name}: {_TITLES[kind]}")
+        return frame.finish(axes, lines, f"{found.physical_model.linear.name}: {_TITLES[kind]}")
 
 
 _TITLES = {"step": "step response", "poles": "poles (x) and zeros (o)", "nyquist": "Nyquist curves"}
@@ -163,8 +161,10 @@ def _poles(axes: Any, lines: Any, systems: Any, names: Sequence[str], drawn: Any
     ax.plot(cloud.real, cloud.imag, ".", color=BAND, ms=3, zorder=1)
     for k, (system, name) in enumerate(zip(systems, names, strict=True)):
         for at, marker in ((system.poles(), "x"), (_zeros(system), "o")):
-            look = {"color": style(k).color, "mfc": "none", "ls": "", "marker": marker}
-            lines[0, 0] += ax.plot(at.real, at.imag, label=name if marker == "x" else f"_{name}", **look)
+            text = name if marker == "x" else f"_{name}"
+            lines[0, 0] += ax.plot(
+                at.real, at.imag, color=style(k).color, mfc="none", ls="", marker=marker, label=text
+            )  # fmt: skip
     ax.axhline(0.0, color="0.6", lw=0.6, zorder=0)
     ax.axvline(0.0, color="0.6", lw=0.6, zorder=0)
     ax.set(xlabel="real part [rad/s]", ylabel="imaginary part [rad/s]")
@@ -209,8 +209,8 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
         }
         looks = (("fitted", "0.65", ":", 1.5), ("selection", "0.45", "--", 1.5), (held_out, "C0", "-", 2.5))
         for values, (name, color, line, width) in zip(errors.values(), looks, strict=True):
-            look = {"color": color, "linestyle": line, "linewidth": width, "label": name}
-            lines[0, 0] += ax.step(position, [values[0], *values], where="pre", **look)
+            over = [values[0], *values]
+            lines[0, 0] += ax.step(position, over, where="pre", color=color, ls=line, lw=width, label=name)
         held = errors["validation"]
         for i, value in enumerate(held):
             above = value >= max(errors["train"][i], errors["choice"][i])  # where no other line runs
@@ -261,4 +261,4 @@ def parameter_plot(refinement: Refinement) -> ct.ControlPlot:
         axis.set_yticks(range(len(rows)), names)
         axis.set(ylim=(len(rows) - 0.4, -0.6), xlabel="Estimate over initial value")
         lines[0, 0] = list(axis.lines)
-        return frame.finish(axes, lines, [])
+        return frame.finish(axes, lines, legends=[])

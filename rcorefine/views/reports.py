@@ -18,9 +18,9 @@ from ..data.records import stretches_by_level
 from ..diagnosis.check_rows import warned
 from ..diagnosis.diagnose import diagnose
 from ..diagnosis.result import Diagnosis, Improvement, next_step
-from ..diagnosis.words import no_test_fires, numbers_that_moved
+from ..diagnosis.verdict import estimates as estimates_of
+from ..diagnosis.words import distinguishing, no_test_fires, numbers_that_moved
 from ..engine.simulation import simulated
-from ..inference.parameters import EstimatedParameter
 from ..inference.refinement import Refinement
 from ..results import chance, counted, with_error
 from ..systems.linear import LinearModel
@@ -36,7 +36,7 @@ from .code import (
 )
 from .comparison import comparison_table, plot_comparison
 from .content import Content, content, fields
-from .diagnosis import plot_diagnosis, ranking_table
+from .diagnosis import caption_of, plot_diagnosis, ranking_table
 from .failure_map import failure_table
 from .measurement import odd
 from .models import (
@@ -79,23 +79,28 @@ def comparison_content(result: Comparison) -> Content:
     )
 
 
+_FIGURES = ("name", "unit", "fit", "rmse", "bias")
+
+
 def _models(result: Comparison) -> list[dict[str, Any]]:
     """Return each model with its outputs and failures."""
+    bias = (result.data.outputs - result.runs).mean(axis=2)
+    figures = zip(np.atleast_2d(result.fit), np.atleast_2d(result.rmse), bias, strict=True)
+    labels, units = result.data.output_labels, result.data.output_units
     models = []
-    for index, name in enumerate(result.names):
-        bias = (result.data.outputs - result.runs[index]).mean(axis=1)
-        one = result.select(index)
-        keys = ("name", "unit", "fit", "rmse", "bias")
-        rows = zip(result.data.output_labels, result.data.output_units, one.fit, one.rmse, bias, strict=True)
-        outputs = [dict(zip(keys, row, strict=True)) for row in rows]
-        models.append({"name": name, "outputs": outputs, "failures": tuple(failures_of(result, index))})
+    for index, (name, one) in enumerate(zip(result.names, figures, strict=True)):
+        rows = [dict(zip(_FIGURES, row, strict=True)) for row in zip(labels, units, *one, strict=True)]
+        models.append({"name": name, "outputs": rows, "failures": tuple(failures_of(result, index))})
     return models
 
 
 def _fits(result: Comparison) -> list[dict[str, Any]]:
     """Return the figures of each model and output."""
-    rows = [(model["name"], row) for model in _models(result) for row in model["outputs"]]
-    return [{"model": name, "output": row.pop("name"), **row} for name, row in rows]
+    return [
+        {"model": model["name"], "output": row.pop("name"), **row}
+        for model in _models(result)
+        for row in model["outputs"]
+    ]
 
 
 def _comparison_page(result: Comparison) -> Page:
@@ -204,15 +209,11 @@ def _diagnosis_page(found: Diagnosis) -> Page:
     samples = sum(r.n_points for r in every)
     responses = found.base.of_responses
     given = counted(len(every), "response" if responses else "record")
-    said = (
-        "The candidates, the most probable first; the force that was estimated at the place of the "
-        "best one, with its formula; and the residual with and without it."
-    )
     return Page(
         f"Diagnosis of {name}: {found.verdict}",
         f"model {name}, {given}, {samples} {'frequencies' if responses else 'samples'}",
         *_diagnosis_answer(found),
-        pictures=[("diagnosis", partial(found.plot, title=""), said)],
+        pictures=[("diagnosis", partial(found.plot, title=""), caption_of(found))],
         tables=_diagnosis_tables(found),
         code=_diagnosis_code(found),
         records=found.records,
@@ -447,7 +448,7 @@ def _comparison_answer(result: Comparison) -> tuple[list[str], bool]:
             "The model is adequate for this record; a record at another amplitude could still show more.",
         ], True
     besides = sum(row.role == "besides" for row in found)
-    more = f" (and {besides} more failure{'s' * (besides > 1)})" if besides else ""
+    more = f" (and {counted(besides, 'more failure')})" if besides else ""
     return [
         first,
         f"Where it fails{more}: {found[0].sentence.rstrip('.')}.",
@@ -491,7 +492,7 @@ def _diagnosis_answer(found: Diagnosis) -> tuple[list[str], bool]:
     third = {
         "parameters": numbers_that_moved(found.parameters),
         "effect": "Add it with refine, and validate the result on held-out data.",
-        "ambiguous": found.sentences()[-1 - len(found.notes)],
+        "ambiguous": distinguishing(found),
         "unexplained": "Do not trust the closest candidate: the missing effect is not in the library."
         + table,
     }[found.verdict]
@@ -504,7 +505,11 @@ def _improvement_answer(found: Improvement) -> tuple[list[str], bool]:
     before, after = (root_mean_square(s.validation_rmse) for s in (first, last))
     unit = f" {found.output_units[0]}" if len(found.output_units) == 1 and found.output_units[0] else ""
     change = f" ({100 * (after / before - 1):+.0f} %)" if before > 0 else ""
-    names = [f"{e.label} ({_estimate(last.refinement, e.kind, e.place)})" for e in found.effects]
+    names = []
+    for effect in found.effects:
+        rows = estimates_of(last.refinement, effect).values()
+        sizes = ", ".join(with_error(row.coefficient, row.std, row.unit) for row in rows)
+        names.append(f"{effect.label} ({sizes})")
     added = f"Added: {'; '.join(names)}." if names else "No effect was added."
     return [
         f"The error on held-out data changes from {before:.4g} to {after:.4g}{unit}{change}.",
@@ -521,9 +526,10 @@ def _refinement_answer(refinement: Refinement) -> tuple[list[str], bool]:
     if moved:
         row = max(moved, key=lambda r: abs(r.coefficient) / r.std)
         sure = abs(row.coefficient) / row.std
+        size = with_error(row.value, row.std, row.unit)
         second = (
-            f"The most significant change is {_row(row)}, {sure:.3g} standard deviations from the initial "
-            "model."
+            f"The most significant change is {row.name} at {row.place}: {row.initial:.4g} to {size}, "
+            f"{sure:.3g} standard deviations from the initial model."
         )
     else:
         second = "No parameter was estimated."
@@ -535,12 +541,3 @@ def _refinement_answer(refinement: Refinement) -> tuple[list[str], bool]:
     if refinement.warnings:
         third = refinement.warnings[0]
     return [first, second, third], refinement.success
-
-
-def _row(row: EstimatedParameter) -> str:
-    return f"{row.name} at {row.place}: {row.initial:.4g} to {with_error(row.value, row.std, row.unit)}"
-
-
-def _estimate(refinement: Refinement, kind: str, place: str) -> str:
-    rows = [r for r in refinement.parameters if r.kind == kind and r.place == place]
-    return ", ".join(with_error(r.coefficient, r.std, r.unit) for r in rows)

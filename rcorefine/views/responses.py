@@ -11,10 +11,10 @@ import numpy as np
 from ..comparison.responses import FrequencyComparison, LevelComparison
 from ..data.frequency_response import FrequencyResponse
 from ..engine.amplitude_response import AmplitudeResponse
-from ..results import frequency_text
+from ..results import counted, frequency_text
 from .bode import BodeAxes, bode
 from .content import Content, content
-from .figures import Frame, style
+from .figures import Frame, look_of
 from .tables import TextTable, number
 
 _NOTES = (
@@ -28,10 +28,8 @@ _GRAYS = ("0.15", "0.4", "0.6", "0.75")
 
 def responses_table(result: FrequencyComparison) -> TextTable:
     """One row per model, output and input."""
-    several = "s" if len(result.names) > 1 else ""
-    title = (
-        f"{len(result.names)} model{several} on response {result.measured.name!r}: {_band(result.measured)}"
-    )
+    measured = result.measured
+    title = f"{counted(len(result.names), 'model')} on response {measured.name!r}: {_band(measured)}"
     return TextTable(_HEADERS, _rows(result), title, _NOTES, left=3)
 
 
@@ -113,10 +111,9 @@ def draw_points(
         for k, (measured, responses) in enumerate(curves):
             drawn.measured(measured, said[k], color=_GRAYS[k % len(_GRAYS)])
             for m, (name, response) in enumerate(zip(names, responses, strict=True)):
-                look = style(m)._asdict() | {"zorder": 3, "label": name if k == 0 else f"_{name}"}
-                drawn.curves(measured.omega, response, look)
+                drawn.curves(measured.omega, response, look_of(m, name if k == 0 else f"_{name}"))
         drawn.limits()
-        return frame.finish(axes, lines, [axes[0, 0]], title)
+        return frame.finish(axes, lines, title)
 
 
 _LEVEL_NOTES = (

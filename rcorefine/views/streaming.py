@@ -51,32 +51,39 @@ def monitor_content(monitor: Monitor) -> Content:
     notes += list(monitor.remarks)
     notes += [f"Ended: {alarm.sentence}" for alarm in monitor.past_alarms[-2:]]
     if stream is not None:
-        ratio = float(monitor.statistic[-1]) if monitor.statistic.size else 0.0
-        force = stream.healthy.ratio
-        noise = "white" if not any(stream.healthy.orders) else f"AR({max(stream.healthy.orders)})"
-        grows = stream.healthy.noise[:, 1:].sum(axis=1) * stream.healthy.power
-        noise += ", growing with the signal" if (grows > stream.healthy.noise[:, 0]).any() else ""
-        notes.append(
-            f"The largest statistic is {ratio:.2f} of its threshold. Noise in the healthy state: {noise}"
-            + (f", unmeasured force about {100 * force:.2g} % of the input." if force else ".")
-        )
-        notes.append(
-            "probability: of each candidate among all, none of these and no change, with "
-            "equal prior probabilities. gain: increase of the log-likelihood over the "
-            "healthy model. "
-            + ("The values are fitted since the change." if state else "The values are linearized.")
-        )
-    seconds = 1e5 / monitor.false_alarms * monitor.dt
-    units = ((86400 * 365, "years"), (86400, "days"), (3600, "hours"), (60, "minutes"), (1, "s"))
-    size, word = next((unit for unit in units if seconds >= 2 * unit[0]), units[-1])
-    notes.append(
-        f"False alarms: at most {monitor.false_alarms:g} in 100 000 healthy samples, one in "
-        f"{seconds / size:.3g} {word}."
-    )
+        notes += _healthy_notes(monitor, stream.healthy)
+    notes.append(_false_alarms(monitor))
     return Content(
         tables=[TextTable(["candidate", "coefficient", "probability", "gain"], rows, title, notes)],
         data=lambda: {"n_samples": n, "alarm": state, "rows": monitor.ranking},
         pictures={"plot": plot_monitor},
+    )
+
+
+def _healthy_notes(monitor: Monitor, healthy: Any) -> list[str]:
+    """Return the statistic and the noise, and what the columns mean."""
+    ratio = float(monitor.statistic[-1]) if monitor.statistic.size else 0.0
+    noise = f"AR({max(healthy.orders)})" if any(healthy.orders) else "white"
+    grows = healthy.noise[:, 1:].sum(axis=1) * healthy.power
+    noise += ", growing with the signal" if (grows > healthy.noise[:, 0]).any() else ""
+    force = f", unmeasured force about {100 * healthy.ratio:.2g} % of the input" if healthy.ratio else ""
+    values = "fitted since the change" if monitor.alarm is not None else "linearized"
+    return [
+        f"The largest statistic is {ratio:.2f} of its threshold. Noise in the healthy state: {noise}{force}.",
+        "probability: of each candidate among all, none of these and no change, with equal prior "
+        "probabilities. gain: increase of the log-likelihood over the healthy model. The values are "
+        f"{values}.",
+    ]
+
+
+def _false_alarms(monitor: Monitor) -> str:
+    """Return the rate of false alarms, in the unit of time that suits it."""
+    seconds = 1e5 / monitor.false_alarms * monitor.dt
+    units = ((86400 * 365, "years"), (86400, "days"), (3600, "hours"), (60, "minutes"), (1, "s"))
+    size, word = next((unit for unit in units if seconds >= 2 * unit[0]), units[-1])
+    return (
+        f"False alarms: at most {monitor.false_alarms:g} in 100 000 healthy samples, one in "
+        f"{seconds / size:.3g} {word}."
     )
 
 
@@ -93,13 +100,11 @@ def plot_monitor(monitor: Monitor, frame: Frame) -> ct.ControlPlot:
         )
     peak = p[1:].max(axis=1)
     shown = [int(i) for i in np.argsort(-peak)[:_MOST] if peak[i] > 0.1]
-    names = ["nothing", *(monitor.candidates[i].label for i in shown)]
-    labels = frame.labels(names)
-    alarms = [*monitor.past_alarms, *([monitor.alarm] if monitor.alarm else [])]
+    labels = frame.labels(["nothing", *(monitor.candidates[i].label for i in shown)])
+    alarms = [*monitor.past_alarms, *filter(None, [monitor.alarm])]
     with frame.axes([1.2, 1.6, 1.2], 1) as (axes, lines):
         top, middle, bottom = axes[:, 0]
-        look: dict[str, Any] = {"color": style(0).color, "linewidth": 1.0, "label": "statistic"}
-        lines[0, 0] = top.plot(t, monitor.statistic, **look)
+        lines[0, 0] = top.plot(t, monitor.statistic, color=style(0).color, lw=1.0, label="statistic")
         top.axhline(1.0, color="0.3", linestyle="--", linewidth=1.0, label="threshold")
         top.set(yscale="log", ylabel="statistic /\nthreshold")
         for k, (row, name) in enumerate(zip([0, *(i + 1 for i in shown)], labels, strict=True)):
@@ -119,7 +124,7 @@ def plot_monitor(monitor: Monitor, frame: Frame) -> ct.ControlPlot:
                 axis.axvspan(alarm.since, max(until, alarm.since), color="#b5400a", alpha=0.07, linewidth=0)
         middle.axvspan(0.0, monitor.learn * monitor.dt, color="0.5", alpha=0.12, linewidth=0)
         middle.set_xlim(0.0, max(float(t[-1]), monitor.dt))
-        return frame.finish(axes, lines, [top, middle], _title(monitor, alarms))
+        return frame.finish(axes, lines, _title(monitor, alarms), [top, middle])
 
 
 def _coefficient_name(monitor: Monitor, alarms: list[Any]) -> str:
@@ -183,7 +188,7 @@ def plot_stages(history: History, frame: Frame) -> ct.ControlPlot:
         _draw_history(axes, lines, history, stages, "simulated")
         _draw_coefficients(axes[-2, 0], lines[-2], history.timepts, static, _coefficients(history))
         axes[-2, 0].set_ylabel("static coefficients")
-        return frame.finish(axes, lines, axes[[0, -2], 0])
+        return frame.finish(axes, lines, legends=axes[[0, -2], 0])
 
 
 def _draw_history(axes: Any, lines: Any, history: Any, stages: Sequence[Any], what: str) -> None:
@@ -191,8 +196,9 @@ def _draw_history(axes: Any, lines: Any, history: Any, stages: Sequence[Any], wh
     for row, output in enumerate(history.output_labels):
         for index, z, text in stages:
             if np.isfinite(z[row]).any():
-                look = {"color": style(index).color, "linewidth": 0.8, "label": text}
-                lines[row, 0] += trace(axes[row, 0], history.timepts, z[row], **look)
+                lines[row, 0] += trace(
+                    axes[row, 0], history.timepts, z[row], color=style(index).color, lw=0.8, label=text
+                )  # fmt: skip
         axes[row, 0].set_ylabel(plain(f"{what} - measured\n{output}"))
     lines[-1, 0] = _draw_poles(axes[-1, 0], history.pole_timepts, history.poles)
 
@@ -232,7 +238,7 @@ def plot_coefficients(history: CoefficientHistory, frame: Frame) -> ct.ControlPl
                 axis.set_ylim(-1.1 * usual, 1.1 * usual)
         _draw_coefficients(axes[-2, 0], lines[-2], history.timepts, shown, names)
         axes[-2, 0].set_ylabel("coefficients /\nlargest value")
-        return frame.finish(axes, lines, axes[[0, -2], 0])
+        return frame.finish(axes, lines, legends=axes[[0, -2], 0])
 
 
 def _draw_poles(axis: Any, timepts: Array, poles: NDArray[np.complex128]) -> list[Any]:
@@ -244,8 +250,8 @@ def _draw_poles(axis: Any, timepts: Array, poles: NDArray[np.complex128]) -> lis
             for part, line, name in ((~oscillates, "-", "real"), (oscillates, "--", "complex")):
                 if part.any():
                     first = all(one.get_label() != name for one in lines)
-                    look = {"linewidth": 1.0, "color": "tab:purple", "label": name if first else f"_{name}"}
-                    lines += axis.plot(timepts, np.where(part, size, np.nan), line, **look)
+                    text, shown = name if first else f"_{name}", np.where(part, size, np.nan)
+                    lines += axis.plot(timepts, shown, line, linewidth=1.0, color="tab:purple", label=text)
     positive = np.abs(poles)[np.isfinite(poles) & (np.abs(poles) > 0)]
     if positive.size and positive.max() > 30 * positive.min():
         axis.set_yscale("log")

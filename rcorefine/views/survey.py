@@ -72,7 +72,7 @@ def plot_survey(found: Survey, frame: Frame) -> ct.ControlPlot:
             axes[k, 0].set_ylabel(unit_text("", effect.unit) if effect.unit else "")
         if not shown:
             axes[0, 0].text(0.5, 0.5, "no coefficient to compare", ha="center", va="center")
-        return frame.finish(axes, lines, [axes[0, 0]], f"{len(found.machines)} machines")
+        return frame.finish(axes, lines, f"{len(found.machines)} machines")
 
 
 def _panel(panel: Any, effect: FleetEffect) -> list[Any]:
@@ -83,8 +83,8 @@ def _panel(panel: Any, effect: FleetEffect) -> list[Any]:
     for out, color, text in ((False, style(0).color, "machine, 95 %"), (True, style(1).color, "stands out")):
         mine = [(k, m.value, 1.96 * m.std) for k, m in enumerate(machines) if m.stands_out == out]
         if mine:
-            look = {"fmt": "o", "color": color, "capsize": 2, "markersize": 3.5, "label": text}
-            drawn.append(panel.errorbar(*zip(*mine, strict=True), **look))
+            bars = zip(*mine, strict=True)
+            drawn.append(panel.errorbar(*bars, fmt="o", color=color, capsize=2, markersize=3.5, label=text))
     pooled, said = [m.pooled for m in machines], "shrunk toward the fleet mean"
     drawn += panel.plot(where, pooled, "_", color="0.15", markersize=9, label=said)
     if len(machines) <= _NAMED:
@@ -231,12 +231,12 @@ def _course(found: Survey, machine: str) -> ct.ControlPlot:
             axis = axes[k, 0]
             entries = [(row.number, e) for row in found.of(machine) for e in row.estimates if e.key == key]
             points = [(number_of, e.value, 1.96 * e.std) for number_of, e in entries]
-            look = {"fmt": "o", "color": style(0).color, "capsize": 2}
-            lines[k, 0] = [axis.errorbar(*zip(*points, strict=True), **look)]
+            bars = axis.errorbar(*zip(*points, strict=True), fmt="o", color=style(0).color, capsize=2)
+            lines[k, 0] = [bars]
             axis.set_ylabel(unit_text(key[0], entries[0][1].unit))
             axis.set_title(plain(f"at {key[1]}"), fontsize="small")
         axes[-1, 0].set_xlabel("record")
-        return frame.finish(axes, lines, [])
+        return frame.finish(axes, lines, legends=[])
 
 
 @content.register

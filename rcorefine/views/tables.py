@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from itertools import zip_longest
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 WIDTH = 80
+_LEAST = 8  # letters to which a column may be narrowed
 
 
 def number(value: float, digits: int = 4) -> str:
@@ -97,39 +98,17 @@ class TextTable:
         """
         if not self.rows:
             return "\n".join(wrapped([self.title or "", *self.notes]))
-        table, left = [[str(cell) for cell in row] for row in (self.headers, *self.rows)], self.left
-        alike: list[str] = []
-        if (
-            len(table) > 2
-            and sum(max(map(len, column)) + 2 for column in zip(*table, strict=True)) - 2 > WIDTH
-        ):
-            # what stands in every row is told once, before any name is cut
-            for i in range(left - 1, 0, -1):
-                if len({row[i] for row in table[1:]}) == 1:
-                    left -= 1
-                    header, cell = [row.pop(i) for row in table][:2]
-                    alike.insert(0, f"{header}: {cell}")
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        while sum(widths) + 2 * (len(widths) - 1) > WIDTH:
-            # names take several lines rather than figures
-            widest = max(
-                range(len(widths)), key=lambda i: (i < left, widths[i]) if widths[i] > 8 else (False, 0)
-            )
-            if widths[widest] <= 8:
-                break
-            widths[widest] -= 1
-        lines = []
-        for row in table:
-            cells = [_lines(cell, size) for cell, size in zip(row, widths, strict=True)]
-            for parts in zip_longest(*cells, fillvalue=""):
-                sized = enumerate(zip(parts, widths, strict=True))
-                shown = [f"{part:{'<' if i < left else '>'}{size}}" for i, (part, size) in sized]
-                lines.append("  ".join(shown).rstrip())
-            if row is table[0]:
-                lines.append("  ".join("-" * size for size in widths))
-        above = wrapped([*(self.title or "").split("\n"), ", ".join(alike)])
-        below = [line for note in self.notes for line in textwrap.wrap(note, WIDTH, subsequent_indent="  ")]
-        return "\n".join([*above, *lines, *below])
+        table = [[str(cell) for cell in row] for row in (self.headers, *self.rows)]
+        # what stands in every row is told once, before any name is cut
+        columns = range(1, self.left if len(table) > 2 and _too_wide(_sizes(table)) else 0)
+        once = [i for i in columns if len({row[i] for row in table[1:]}) == 1]
+        alike = ", ".join(f"{table[0][i]}: {table[1][i]}" for i in once)
+        table = [[cell for i, cell in enumerate(row) if i not in once] for row in table]
+        left = self.left - len(once)
+        widths = _narrowed(_sizes(table), left)
+        lines = _printed(table, widths, left)
+        above = wrapped([*(self.title or "").split("\n"), alike])
+        return "\n".join([*above, *lines, *wrapped(self.notes, "  ")])
 
     def html(self) -> str:
         """Return one ``div`` element.
@@ -179,14 +158,41 @@ def html_table(headers: Sequence[str], rows: Sequence[Sequence[str]], **options:
     return TextTable(headers, rows, **options).html()
 
 
-def _lines(cell: str, size: int) -> list[str]:
-    """Wrap a cell to lines of at most `size` characters.
+def _sizes(table: Sequence[Sequence[str]]) -> list[int]:
+    """Return the width of each column that holds its longest cell."""
+    return [max(map(len, column)) for column in zip(*table, strict=True)]
+
+
+def _too_wide(widths: Sequence[int]) -> bool:
+    """Return whether columns with two spaces between them are too wide."""
+    return sum(widths) + 2 * (len(widths) - 1) > WIDTH
+
+
+def _narrowed(widths: list[int], left: int) -> list[int]:
+    """Return widths that fit the page: names break rather than figures."""
+    while _too_wide(widths) and max(widths) > _LEAST:
+        wide = [i for i, size in enumerate(widths) if size > _LEAST]
+        widths[max(wide, key=lambda i: (i < left, widths[i]))] -= 1
+    return widths
+
+
+def _printed(table: Sequence[Sequence[str]], widths: Sequence[int], left: int) -> Iterator[str]:
+    """Yield the lines of a table, with dashes below its first row.
 
     Names stay whole; a word that is too long is broken.
     """
-    return textwrap.wrap(" ".join(cell.split()), max(size, 1), break_on_hyphens=False) or [""]
+    for k, row in enumerate(table):
+        cells = [
+            textwrap.wrap(" ".join(cell.split()), max(size, 1), break_on_hyphens=False) or [""]
+            for cell, size in zip(row, widths, strict=True)
+        ]
+        for parts in zip_longest(*cells, fillvalue=""):
+            sized = enumerate(zip(parts, widths, strict=True))
+            yield "  ".join(f"{part:{'<' if i < left else '>'}{size}}" for i, (part, size) in sized).rstrip()
+        if k == 0:
+            yield "  ".join("-" * size for size in widths)
 
 
-def wrapped(sentences: Sequence[str]) -> list[str]:
-    """Lines of at most 80 columns."""
-    return [line for sentence in sentences for line in textwrap.wrap(sentence, WIDTH)]
+def wrapped(sentences: Sequence[str], indent: str = "") -> list[str]:
+    """Lines of at most 80 columns, the first of a sentence not set in."""
+    return [line for text in sentences for line in textwrap.wrap(text, WIDTH, subsequent_indent=indent)]
