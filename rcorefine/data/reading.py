@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from os import PathLike
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import control as ct
 
@@ -88,34 +89,52 @@ def read_record(
     text: dict[str, Any] = {} if decimal is None else {"decimal": decimal}
     if text and reader != Measurement.from_csv:
         raise DataError(f"{file} is no text file, which alone has a decimal mark")
-    linear = None if model is None else LinearModel.from_statespace(getattr(model, "system", model))
-    known: dict[str, str] = {}
-    columns, labels = {}, {}
-    for side, given in (("input", inputs), ("output", outputs)):
-        own = [] if linear is None else list(getattr(linear, f"{side}_labels"))
-        known |= dict(zip(own, getattr(model, f"{side}_units", ()), strict=False))
-        if given is None and linear is None:
-            raise ct.ControlArgument(f"{side}s must name columns of {file.name} where no model tells them")
-        columns[side] = own if given is None else list(as_texts(given, f"{side}s"))
-        by_name = set(columns[side]) <= set(own) or len(columns[side]) != len(own)
-        labels[side] = columns[side] if by_name else own
+    sides = {
+        side: _columns_of(model, side, given, file)
+        for side, given in (("input", inputs), ("output", outputs))
+    }
     record = reader(
         file,
-        columns["input"],
-        columns["output"],
+        sides["input"].columns,
+        sides["output"].columns,
         time="time" if time is None and dt is None else time,
         dt=dt,
         hold=hold,
-        input_labels=labels["input"],
-        output_labels=labels["output"],
+        input_labels=sides["input"].labels,
+        output_labels=sides["output"].labels,
         **text,
     )
-    units = {  # those of the file, and the model's where the file has none
-        f"{side}_units": [
-            unit or known.get(label, "")
-            for unit, label in zip(getattr(record, f"{side}_units"), labels[side], strict=True)
-        ]
-        for side in labels
-    }
-    changed: Measurement = record._changed(**units)
-    return changed
+    # units of the file, and the model's where the file has none
+    found: Measurement = record._changed(
+        **{
+            f"{side}_units": [
+                one or own for one, own in zip(getattr(record, f"{side}_units"), of.units, strict=True)
+            ]
+            for side, of in sides.items()
+        }
+    )
+    return found
+
+
+class _Columns(NamedTuple):
+    """Columns to read for one side of a model, with their labels and the model's units."""
+
+    columns: list[str]
+    labels: list[str]
+    units: list[str]
+
+
+def _columns_of(model: Any, side: str, given: str | Sequence[str] | None, file: Path) -> _Columns:
+    """Return the columns of the inputs or of the outputs."""
+    if model is None:
+        if given is None:
+            raise ct.ControlArgument(f"{side}s must name columns of {file.name} where no model tells them")
+        columns = list(as_texts(given, f"{side}s"))
+        return _Columns(columns, columns, [""] * len(columns))
+    # columns of the model's names, or as many of other names in the order of the model
+    own = list(getattr(LinearModel.from_statespace(getattr(model, "system", model)), f"{side}_labels"))
+    columns = own if given is None else list(as_texts(given, f"{side}s"))
+    by_name = set(columns) <= set(own) or len(columns) != len(own)
+    labels = columns if by_name else own
+    units = dict(zip(own, getattr(model, f"{side}_units", ()), strict=False))
+    return _Columns(columns, labels, [units.get(label, "") for label in labels])

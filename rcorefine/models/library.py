@@ -248,20 +248,11 @@ def _at_ports(physical: PhysicalModel, asked: Sequence[str] | None) -> list[Effe
 
 def _is_plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
     """Return whether this effect is plausible at this port."""
-    joined = _joins(port)
-    if law.name == Gravity.name:  # an angle in rad, by its unit or its name
-        labels = [physical.linear.state_labels[i] for i in np.flatnonzero(port.position)]
-        named = len(labels) == 1 and bool(_ANGLE.search(labels[0]))
-        if joined or not (port.position_unit == "rad" if port.position_unit else named):
-            return False
-    elif law.domains and port.domain not in law.domains:
-        return False
-    if law.on_request:
-        return False
-    if law.of_speeds and port.kind == "first_order" and port.domain not in _MOTIONS:
+    if law.on_request or not _suits(physical, port, law):
         return False
     if port.modal:  # modes: only stiffness and damping
         return law.name in (Stiffness.name, Damping.name)
+    joined = _joins(port)
     # a body is one mass or store rather than what joins two
     flow = law.name == ConstantForce.name and port.kind == "first_order"  # from one store to another
     if law.belongs_to == Mass.name and not flow and (joined or _body_elsewhere(physical, port)):
@@ -273,10 +264,26 @@ def _is_plausible(physical: PhysicalModel, port: Port, law: Law) -> bool:
             known_mass=_has_parameter(physical, port, Mass.name),
         )
     # every law but a spring; springs where there is one, or between two bodies
-    if law.belongs_to != Stiffness.name or joined or _has_parameter(physical, port, Stiffness.name):
-        return True
-    # a spring to the ground is implausible at a mass that is linked to others
-    return not any(
+    return law.belongs_to != Stiffness.name or joined or _takes_spring(physical, port)
+
+
+def _suits(physical: PhysicalModel, port: Port, law: Law) -> bool:
+    """Return whether a law goes with the domain and the motion of a port."""
+    if law.name == Gravity.name:  # an angle in rad, by its unit or its name
+        labels = [physical.linear.state_labels[i] for i in np.flatnonzero(port.position)]
+        named = len(labels) == 1 and bool(_ANGLE.search(labels[0]))
+        return not _joins(port) and (port.position_unit == "rad" if port.position_unit else named)
+    if law.of_speeds and port.kind == "first_order" and port.domain not in _MOTIONS:
+        return False
+    return not law.domains or port.domain in law.domains
+
+
+def _takes_spring(physical: PhysicalModel, port: Port) -> bool:
+    """Return whether a spring between a body and the ground is plausible.
+
+    It is where the model has one, and at a mass that no other spring or body holds.
+    """
+    return _has_parameter(physical, port, Stiffness.name) or not any(
         _joins(other) or _has_parameter(physical, other, Stiffness.name)
         for other in physical.ports
         if other is not port and other.kind == "mechanical" and ((other.act != 0) & (port.act != 0)).any()

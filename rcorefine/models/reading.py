@@ -294,13 +294,8 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, file: Path) 
     dt = values.get("dt", 0)
     if isinstance(dt, bool) or not isinstance(dt, (int, float)) or not 0 <= dt < 1e300:
         raise ModelError(f"{where}: dt must be a time in s, or 0 for continuous time, not {dt!r}")
-    # as many labels as signals
-    labels = {}
-    for key, count in zip(_LABELS, (*matrices[3].shape[::-1], len(matrices[0])), strict=True):
-        if key in values:
-            labels[key] = texts = values[key] if isinstance(values[key], list) else [values[key]]
-            if len(texts) != count or not all(isinstance(text, str) for text in texts):
-                raise ModelError(f"{where}: {key} must be {count} name(s), not {values[key]!r}")
+    sizes = zip(_LABELS, (*matrices[3].shape[::-1], len(matrices[0])), strict=True)
+    labels = {key: _labels(values[key], count, f"{where}: {key}") for key, count in sizes if key in values}
     # python-control separates system and signal by a dot
     name = values.get("name", file.stem.replace(".", "_"))
     if not isinstance(name, str) or not name:
@@ -309,6 +304,14 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, file: Path) 
         return ct.ss(*matrices, dt, name=name, **labels)
     except (ValueError, ct.ControlDimension, ct.ControlArgument) as error:  # a name that is not allowed
         raise ModelError(f"{where}: {error}") from error
+
+
+def _labels(given: Any, count: int, where: str) -> list[str]:
+    """Return as many labels as there are signals; one may be written without a list."""
+    texts = given if isinstance(given, list) else [given]
+    if len(texts) != count or not all(isinstance(text, str) for text in texts):
+        raise ModelError(f"{where} must be {count} name(s), not {given!r}")
+    return texts
 
 
 def _matrices(values: Mapping[str, Any], where: str) -> list[Array]:
