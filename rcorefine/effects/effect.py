@@ -377,6 +377,19 @@ def _restore(given: dict[str, Any], domain: str) -> Effect:
     return effect
 
 
+def hold_coefficients(effect: Effect, values: Mapping[str, float]) -> Effect:
+    """Return an effect with these coefficients held, also outside their bounds.
+
+    An estimate on a stream has none.
+    """
+    held, store = object.__new__(Effect), object.__setattr__
+    for name in Effect.__slots__:
+        store(held, name, getattr(effect, name))
+    for name, given in (("_start", {}), ("_prior", {}), ("_fixed", {**effect.fixed, **values})):
+        store(held, name, given)
+    return held
+
+
 def as_effects(values: Any, name: str) -> list[Effect]:
     """Return effects from one or a list of them, or of their names.
 

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from ...data.measurement import Measurement
 from ...diagnosis.hypothesis import unphysical
-from ...effects.effect import Effect
+from ...effects.effect import Effect, hold_coefficients
 from ...engine.engine import Engine
 from ...engine.structure import Structure
 from ...gauss_newton import Rows, gauss_newton
@@ -81,6 +81,18 @@ class Segment:
     def motion(self) -> Motion:
         """Motion at the ports, for the shapes of laws."""
         return Motion(self.structure, self.theta, self.data)
+
+    @cached_property
+    def held(self) -> Structure:
+        """Healthy model with all coefficients held: a fit needs no derivatives by them."""
+        healthy = self.structure
+        effects = [
+            hold_coefficients(
+                effect, {n: float(healthy.value(self.theta, i, n)) for n in effect.coefficients}
+            )
+            for i, effect in enumerate(healthy.effects)
+        ]
+        return Structure(healthy.model, effects, constants=healthy.constants)
 
     @cached_property
     def judged(self) -> NDArray[np.bool_]:
@@ -203,34 +215,32 @@ def fit_candidate(
     CandidateFit
     """
     # healthy model plus the candidate, with the widths of its law on this motion
-    old = segment.structure
-    added = [] if effect is None else [effect]
-    base = Structure(old.model, [*old.effects, *added], constants=old.constants)
-    widths = law_widths(base, segment.motion) if added else {}
-    structure = Structure(old.model, base.effects, constants={**widths, **old.constants})
+    old = structure = segment.held
+    if effect is not None:
+        bare = Structure(old.model, [*old.effects, effect], constants=old.constants)
+        widths = law_widths(bare, segment.motion) | old.constants
+        structure = Structure(old.model, bare.effects, constants=widths)
     steps = max(segment.substeps, 1 if structure.is_linear else 2)
     engine = Engine(structure, segment.data, substeps=steps)
-    own = structure.parameters[old.n_parameters :]
+    own, theta = structure.parameters, structure.start()
     # state and gain of the healthy model; the candidate's own states start at zero
-    theta = np.concatenate([segment.theta, structure.start()[old.n_parameters :]])
     extra = structure.n_states - old.n_states
     led = replace(segment, x0=np.pad(segment.x0, (0, extra)), gain=np.pad(segment.gain, ((0, extra), (0, 0))))
     lower, upper = _bounds(own, segment.data.dt)
     # starts: those given, then those that the motion suggests
     points = [np.asarray(s, dtype=float) for s in starts if len(s) == len(own) and np.isfinite(s).all()]
-    if added and not (alone and points):
-        suggested = shape_starts(structure, theta, segment.motion, len(old.effects))
-        points += [s[old.n_parameters :] for s in suggested[:_MOST_STARTS]]
+    if effect is not None and not (alone and points):
+        points += shape_starts(structure, theta, segment.motion, len(old.effects))[:_MOST_STARTS]
     # gap, limit or fading speed: within a factor of 8 of the start; far off its motion a law is another one
     shaping = np.array([q.name in structure.effects[q.effect].spec.shaping for q in own], dtype=bool)
-    loose = np.arange(old.n_parameters, structure.n_parameters)
+    loose = np.arange(structure.n_parameters)
     found: list[CandidateFit] = []
     # damped Gauss-Newton from each start; the best one counts
     for start in points or [np.zeros(0)]:
         low = np.where(shaping, np.maximum(lower, start / _REACH), lower)
         high = np.where(shaping, np.minimum(upper, start * _REACH), upper)
-        theta[loose] = np.clip(start, low, high)
-        found.append(descend(led, engine, theta, loose, low, high, effect=effect, worst=worst))
+        begin = np.clip(start, low, high)
+        found.append(descend(led, engine, begin, loose, low, high, effect=effect, worst=worst))
     return min(found, key=lambda fit: fit.cost)
 
 
