@@ -63,22 +63,22 @@ shown = compared.plot("decay")
 #
 # Several effects bend the torque at large angles: gravity (the sine of the angle), a cubic spring, a
 # clearance. `diagnose` fits them to the first part of the decay, chooses on the next part, where the swing is
-# smaller, and tests on the last part. `improve` makes the same diagnosis, and then adds the effects one by
-# one.
+# smaller, and tests on the last part.
 
 # %%
-steps = rco.improve(model, large)
-print(steps.diagnosis)
+found = rco.diagnose(model, large)
+print(found)
 
 # %% [markdown]
 # It names gravity. The residual is not noise: with 917 samples and hardly any sensor noise, the tests find an
 # error of less than 0.1 % of the motion. That is too small to matter here, and the text says so. Only
 # ratios are known: in a free decay, all torques and the inertia may be scaled alike.
 #
-# The steps show the error on the last part, to which no coefficient was fitted.
+# `improve` names the same effect, and shows the path to it.
 
 # %%
-print(steps)
+better = found.refine()
+print(better)
 
 # %% [markdown]
 # ## Another amplitude
@@ -86,7 +86,6 @@ print(steps)
 # The model was fitted to the swing from 93 degrees. The release from 32 degrees was not used.
 
 # %%
-better = steps.refinement
 for name, one in (("linear", model), ("with gravity", better)):
     print(f"{name:13s} {1e3 * rco.compare(one, small).rmse[0]:6.1f} mrad")
 shown = rco.compare([model, better], small).plot()
