@@ -45,13 +45,13 @@ OUTER = {
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
     ".": 8047, "arguments": 2154, "commands": 8156, "comparison": 28176, "data": 25350,
-    "diagnosis": 72991, "effects": 30840, "engine": 50214, "examples": 2261, "exercises": 4787,
+    "diagnosis": 72991, "effects": 30840, "engine": 50214, "examples": 2218, "exercises": 4787,
     "explorer": 9099, "export": 6237, "fleet": 9922, "inference": 32670, "localization": 11722,
-    "models": 42670, "refinement": 4323, "streaming": 71940, "systems": 5887, "views": 39614,
+    "models": 42670, "refinement": 4323, "streaming": 71958, "systems": 5887, "views": 39614,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.
-COMPLEX, WIDE, TINY = 15, 7, 78
+COMPLEX, WIDE, TINY = 15, 0, 78
 
 
 @functools.cache
@@ -289,7 +289,9 @@ def test_no_more_wide_functions():
     for file, node, _ in functions():
         arguments = node.args.posonlyargs + node.args.args + node.args.kwonlyargs
         compiled = any("njit" in ast.unparse(one) for one in node.decorator_list)
-        if len(arguments) > 8 and (node.name.startswith("_") or compiled):
+        # a constructor is public: its arguments are those that users give
+        private = node.name.startswith("_") and node.name != "__init__"
+        if len(arguments) > 8 and (private or compiled):
             found.append(f"{file}: {node.name} {len(arguments)}")
     assert len(found) <= WIDE, "\n".join(found)
 

@@ -248,15 +248,15 @@ def rlc(*, form: str = "given", dt: float = 1e-4) -> Example:
         )  # fmt: skip
 
     return _example(
-        "RLC circuit",
         circuit,
         initial,
         true,
         dt,
         form,
-        settings=(5, 100, 1, 100.0, 1.0),
+        ("V", "V", ("C", "A")),
+        name="RLC circuit",
+        settings=_settings(5, 100, 100.0, 1.0),
         parameter_units={"resistance": "ohm", "inductance": "H", "capacitance": "F"},
-        signal_units=("V", "V", ("C", "A")),
         description="Voltage in, voltage across the resistor out; L and C unknown, R known.",
     )
 
@@ -308,16 +308,16 @@ def one_dof(*, form: str = "given", dt: float = 1e-2) -> Example:
         )  # fmt: skip
 
     return _example(
-        "1-DOF transmissibility",
         transmissibility,
         initial,
         true,
         dt,
         form,
-        settings=(30, 100, 1, 1000.0, 1000.0),
-        average=1,  # the paper reads off the last coefficients
+        ("m/s^2", "m/s^2", ("m", "m/s")),
+        name="1-DOF transmissibility",
+        # the paper reads off the last coefficients
+        settings=_settings(30, 100, 1000.0, 1000.0, static_average=1),
         parameter_units={"mass": "kg", "stiffness": "N/m", "damping": "N s/m"},
-        signal_units=("m/s^2", "m/s^2", ("m", "m/s")),
         description="Acceleration of the base in, of the mass out; mass and damping unknown.",
     )
 
@@ -381,16 +381,15 @@ def two_dof(*, form: str = "given", dt: float = 1e-3) -> Example:
 
     units = {"m": "kg", "c": "N s/m", "k": "N/m"}
     return _example(
-        "2-DOF structure",
         structure,
         initial,
         true,
         dt,
         form,
-        settings=(5, 100, 1, 100.0, 1000.0),
-        average=1,
+        ("kN", "m/s", ("m", "m", "m/s", "m/s")),
+        name="2-DOF structure",
+        settings=_settings(5, 100, 100.0, 1000.0, static_average=1),
         parameter_units={key: units[key[0]] for key in initial},
-        signal_units=("kN", "m/s", ("m", "m", "m/s", "m/s")),
         description="Force on mass 1 in, velocity of mass 1 out; springs 2 and 3 damaged.",
     )
 
@@ -451,44 +450,41 @@ def rlc_parameters(system: ct.StateSpace, resistance: float = 250.0) -> dict[str
 
 
 def _example(
-    name: str,
     build: Callable[[str, Mapping[str, float]], LinearModel],
     initial: Mapping[str, float],
     true: Mapping[str, float],
     dt: float,
     form: str,
-    *,
-    settings: tuple[int, int, int, float, float],
-    average: int | None = None,
-    parameter_units: Mapping[str, str],
-    signal_units: tuple[str, str, tuple[str, ...]],
-    description: str,
+    units: tuple[str, str, tuple[str, ...]],
+    **about: Any,
 ) -> Example:
-    """Build both models in the form asked for."""
+    """Build both models in the form asked for.
+
+    `units` are those of the input, the output and the states.
+    """
     as_choice(form, "form", FORMS)
     models = [build("initial", initial), build("true", true)]
-    states = signal_units[2]
+    of_input, of_output, of_states = units
     if form == "observable":
         models = [observable_form(model)[0] for model in models]
-        states = ("",) * len(states)
-    keys = ("order", "window", "markov", "learning_rate", "static_learning_rate")
+        of_states = ("",) * len(of_states)
     return Example(
-        name=name,
         initial_model=models[0],
         true_model=models[1],
         dt=check_sampling_time(dt),
-        settings={
-            **dict(zip(keys, settings, strict=True)),
-            **({} if average is None else {"static_average": average}),
-        },
         initial_parameters=dict(initial),
         true_parameters=dict(true),
-        parameter_units=dict(parameter_units),
-        input_units=(signal_units[0],),
-        output_units=(signal_units[1],),
-        state_units=states,
-        description=description,
+        input_units=(of_input,),
+        output_units=(of_output,),
+        state_units=of_states,
+        **about,
     )
+
+
+def _settings(order: int, window: int, rate: float, static_rate: float, **more: int) -> dict[str, Any]:
+    """Return settings of the paper's refiner, with one Markov parameter."""
+    rates = {"learning_rate": rate, "static_learning_rate": static_rate}
+    return {"order": order, "window": window, "markov": 1, **rates, **more}
 
 
 def _model(

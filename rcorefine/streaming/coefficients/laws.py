@@ -136,12 +136,27 @@ def _input_at(ring, channel, when, foh):
     return start + (when - cell) * rise, rise
 
 
+class Path(NamedTuple):
+    """Way of the inputs through their laws.
+
+    ring : last samples; statics, levels : laws and their coefficients; dt : sampling time; room : as
+    `inputs_of` makes it.
+    """
+
+    ring: Array
+    statics: Integers
+    levels: Array
+    dt: float
+    room: Inputs
+
+
 @compiled
-def _node(when, channel, ring, statics, levels, dt, foh, room, found, slopes):
+def _node(when, channel, path, foh, found, slopes):
     """Compute one input at one time, and its derivatives.
 
     The value is written to `found`, the derivatives to `slopes` (c, nu).
     """
+    ring, statics, levels, dt, room = path
     # effects act on the delayed input
     raw, rise = _input_at(ring, channel, when, foh)
     found[channel], passed = _through(raw, channel, statics, levels, room, False)
@@ -153,11 +168,12 @@ def _node(when, channel, ring, statics, levels, dt, foh, room, found, slopes):
 
 
 @compiled
-def _mean(early, late, channel, ring, statics, levels, dt, room, s):
+def _mean(early, late, channel, path, s):
     """Compute the mean of a held input over a substep.
 
     The mean keeps the whole impulse if an edge falls inside the substep.
     """
+    ring, statics, levels, dt, room = path
     # zero-order hold: where an edge falls inside the substep, take the mean of both levels
     turn = min(max(np.floor(early + 1e-9) + 1.0, early), late)
     share = (turn - early) / (late - early)
@@ -199,7 +215,7 @@ def drive(ring, statics, levels, substeps, foh, dt, room):
 
     The effects and delays are applied to the raw inputs.
     """
-    delays = room.delays
+    delays, path = room.delays, Path(ring, statics, levels, dt, room)
     room.dW[:, :, :] = 0.0
     room.dWout[:, :, :] = 0.0
     delays[:] = 0.0
@@ -214,14 +230,14 @@ def drive(ring, statics, levels, substeps, foh, dt, room):
         delay = delays[channel] / dt
         for edge in range(2):
             when = edge - 1.0 - delay
-            _node(when, channel, ring, statics, levels, dt, foh, room, room.Wout[edge], room.dWout[:, edge])
+            _node(when, channel, path, foh, room.Wout[edge], room.dWout[:, edge])
         # nodes of the substeps, for the state equation
         for s in range(room.W.shape[0]):
             early = s / substeps - 1.0 - delay
             if foh:
-                _node(early, channel, ring, statics, levels, dt, foh, room, room.W[s], room.dW[:, s])
+                _node(early, channel, path, foh, room.W[s], room.dW[:, s])
             else:
-                _mean(early, early + 1.0 / substeps, channel, ring, statics, levels, dt, room, s)
+                _mean(early, early + 1.0 / substeps, channel, path, s)
         # last, advance the inner states of the input effects to the end of the interval
         _through(_input_at(ring, channel, -delay, foh)[0], channel, statics, levels, room, True)
 
