@@ -117,7 +117,7 @@ def read_record(
 
 
 class _Columns(NamedTuple):
-    """Columns to read for one side of a model, with their labels and the model's units."""
+    """Columns of the inputs or of the outputs, their labels and units."""
 
     columns: list[str]
     labels: list[str]

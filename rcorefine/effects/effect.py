@@ -378,9 +378,9 @@ def _restore(given: dict[str, Any], domain: str) -> Effect:
 
 
 def hold_coefficients(effect: Effect, values: Mapping[str, float]) -> Effect:
-    """Return an effect with these coefficients held, also outside their bounds.
+    """Return an effect with these coefficients held.
 
-    An estimate on a stream has none.
+    They may lie outside their bounds: an estimate on a stream has none.
     """
     held, store = object.__new__(Effect), object.__setattr__
     for name in Effect.__slots__:

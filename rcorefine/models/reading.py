@@ -307,7 +307,10 @@ def _state_space(values: Mapping[str, Any], where: str, holds: str, file: Path) 
 
 
 def _labels(given: Any, count: int, where: str) -> list[str]:
-    """Return as many labels as there are signals; one may be written without a list."""
+    """Return as many labels as signals.
+
+    A single one may be written without a list.
+    """
     texts = given if isinstance(given, list) else [given]
     if len(texts) != count or not all(isinstance(text, str) for text in texts):
         raise ModelError(f"{where} must be {count} name(s), not {given!r}")

@@ -84,7 +84,10 @@ class Segment:
 
     @cached_property
     def held(self) -> Structure:
-        """Healthy model with all coefficients held: a fit needs no derivatives by them."""
+        """Healthy model with all coefficients held.
+
+        A fit of a candidate needs no derivatives by them.
+        """
         healthy = self.structure
         effects = [
             hold_coefficients(
