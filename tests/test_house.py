@@ -45,7 +45,7 @@ OUTER = {
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
     ".": 8047, "arguments": 2154, "commands": 8156, "comparison": 28176, "data": 25350,
-    "diagnosis": 72991, "effects": 30840, "engine": 50214, "examples": 2218, "exercises": 4787,
+    "diagnosis": 73332, "effects": 30840, "engine": 50214, "examples": 2218, "exercises": 4787,
     "explorer": 9099, "export": 6237, "fleet": 9922, "inference": 32670, "localization": 11722,
     "models": 42670, "refinement": 4323, "streaming": 71958, "systems": 5887, "views": 39614,
 }  # fmt: skip
