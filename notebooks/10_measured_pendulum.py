@@ -74,11 +74,11 @@ print(found)
 # error of less than 0.1 % of the motion. That is too small to matter here, and the text says so. Only
 # ratios are known: in a free decay, all torques and the inertia may be scaled alike.
 #
-# `improve` names the same effect, and shows the path to it.
+# `improve` comes to the same effect.
 
 # %%
-better = found.refine()
-print(better)
+steps = rco.improve(model, large)
+print(steps)
 
 # %% [markdown]
 # ## Another amplitude
@@ -86,6 +86,7 @@ print(better)
 # The model was fitted to the swing from 93 degrees. The release from 32 degrees was not used.
 
 # %%
+better = steps.refinement
 for name, one in (("linear", model), ("with gravity", better)):
     print(f"{name:13s} {1e3 * rco.compare(one, small).rmse[0]:6.1f} mrad")
 shown = rco.compare([model, better], small).plot()

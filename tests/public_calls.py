@@ -911,6 +911,11 @@ CALLS: dict[str, Call] = {
         _method(refinement, "parameter"), lambda: {"name": "stiffness"}, {"name": is_text, "place": is_text}
     ),
     "Refinement.report": _report(refinement, data=is_nothing),
+    "Refinement.script": Call(
+        _method(refinement, "script"),
+        lambda: {"data": record()},
+        {"data": is_nothing, "horizon": is_positive},
+    ),
     "Refinement.sentences": Call(_method(refinement, "sentences"), dict),
     "Refinement.simulate": Call(
         _method(refinement, "simulate"), lambda: {"data": record()}, {"data": is_nothing, "x0": is_state}

@@ -191,7 +191,7 @@ def _on_record(
         notes=tuple(dict.fromkeys(notes)),
         several=several,
         looped=bool(looped),
-        led=len(course.windows) == 1 and not looped and _follows_record(known, linear, data),
+        led=len(course.windows) == 1 and not looped and _follows_record(known, linear, course.data),
     )
 
 

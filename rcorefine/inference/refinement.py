@@ -13,7 +13,9 @@ from numpy.typing import ArrayLike
 from ..arguments import as_text, as_vector, as_whole
 from ..data.channels import resting_inputs
 from ..data.measurement import Measurement
+from ..data.records import as_data
 from ..effects.effect import Effect
+from ..engine.controlled import checked_horizon
 from ..engine.nonlinear import nonlinear_system
 from ..engine.simulation import simulate
 from ..engine.structure import Structure
@@ -378,7 +380,25 @@ class Refinement(ReportedModel, CodeExports):
         Returns
         -------
         str
+
+        Raises
+        ------
+        control.ControlArgument
+            If `data` is no record, or `horizon` no positive number.
+
+        Examples
+        --------
+        >>> model = rco.mass_spring_damper([1.0], [0.4], [100.0])
+        >>> force = np.random.default_rng(0).standard_normal(200)
+        >>> y = rco.simulate(model, rco.Measurement(force, np.zeros(200), dt=0.02), "zero").outputs[0]
+        >>> data = rco.Measurement(force, y, dt=0.02)
+        >>> found = rco.refine(model, data, [rco.Effect("damping", "link1")])
+        >>> found.script(data).splitlines()[-1]
+        'print(better)'
         """
+        if data is not None:
+            as_data(data, several=False)
+        checked_horizon(horizon, known_start=False)
         return str(views().refinement_script(self, data, horizon))
 
     # ------------------------------------------------------------------ in words

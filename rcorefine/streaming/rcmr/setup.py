@@ -630,7 +630,7 @@ def as_settings(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> tuple[
         # stage 2 takes the settings of stage 1 where it has none
         def first(name: str) -> Any:
             own = (one for n in (prefix + name, name) for one in (given[n], defaults.get(n)))
-            return next(one for one in own if one is not None)
+            return next((one for one in own if one is not None), None)
 
         return Settings(
             as_size(first("order"), f"{prefix}order", 0, "n_c"),
