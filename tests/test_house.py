@@ -46,8 +46,8 @@ OUTER = {
 BUDGET = {
     ".": 8047, "arguments": 2154, "commands": 8156, "comparison": 28178, "data": 25350,
     "diagnosis": 73332, "effects": 30840, "engine": 50214, "examples": 2218, "exercises": 4787,
-    "explorer": 9099, "export": 6237, "fleet": 9922, "inference": 32708, "localization": 11722,
-    "models": 42670, "refinement": 4323, "streaming": 71962, "systems": 5887, "views": 39614,
+    "explorer": 9099, "export": 6237, "fleet": 9922, "inference": 32713, "localization": 11722,
+    "models": 42670, "refinement": 4323, "streaming": 71952, "systems": 5887, "views": 39614,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.

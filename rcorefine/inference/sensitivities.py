@@ -99,7 +99,7 @@ def candidate_columns(
             riders.append(each)
         else:
             laws.append((each, _shapes(each)))
-    for ratio in ratios:
+    for ratio in dict.fromkeys(ratios):
         for each in alone:
             each.columns[ratio] = _own_columns(each, ratio)
         # one simulation carries the derivatives by all parameters

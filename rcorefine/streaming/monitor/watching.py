@@ -49,13 +49,13 @@ class MonitorRow(Row):
     log_likelihood: float
     fitted: bool
 
-    @classmethod
-    def of(
-        cls, effect: Effect, names: Sequence[str], values: Array, stds: Array, gain: float, fitted: bool
-    ) -> MonitorRow:
-        """Row with these estimates; its probability is not known yet."""
-        found, std = (dict(zip(names, map(float, part), strict=True)) for part in (values, stds))
-        return cls(effect, found, std, math.nan, float(gain), fitted)
+
+def row_of(
+    effect: Effect, names: Sequence[str], values: Array, stds: Array, gain: float, fitted: bool
+) -> MonitorRow:
+    """Row with these estimates; its probability is not known yet."""
+    found, std = (dict(zip(names, map(float, part), strict=True)) for part in (values, stds))
+    return MonitorRow(effect, found, std, math.nan, float(gain), fitted)
 
 
 def ranked(rows: Iterable[MonitorRow], probabilities: Array) -> list[MonitorRow]:
@@ -235,7 +235,7 @@ def linear_rows(stream: Stream) -> list[MonitorRow]:
         value, std = scale * mem["N"][m, j] / V[m, j], scale * np.sqrt(wide[m, j]) / V[m, j]
         std = np.where(np.isfinite(V[m, j]), std, np.inf)
         gain = 0.5 * float(square[m, j][0])
-        rows.append(MonitorRow.of(effect, [stream.bank.names[j[0]]], value, std, gain, False))
+        rows.append(row_of(effect, [stream.bank.names[j[0]]], value, std, gain, False))
     # probabilities from the best gain above the threshold
     return ranked(rows, shares(float(gains.max()), gains)[1:])
 
@@ -351,13 +351,13 @@ def _estimated_rows(stream: Stream, scored: Scored, since: int) -> list[MonitorR
     for i, effect in enumerate(stream.bank.candidates):
         if effect in fitted:
             fit, gain = fitted[effect]
-            rows.append(MonitorRow.of(effect, effect.free, fit.coefficients, fit.std, gain, True))
+            rows.append(row_of(effect, effect.free, fit.coefficients, fit.std, gain, True))
             continue
         own = np.flatnonzero(stream.bank.owner == i)
         best = own[[int(np.argmax(gains[own]))]]
         # the linear figure of one that was not worth a fit: not above those that were
         gain, name = min(float(gains[best[0]]), worst), stream.bank.names[best[0]]
-        rows.append(MonitorRow.of(effect, [name], estimates[best], spreads[best], gain, False))
+        rows.append(row_of(effect, [name], estimates[best], spreads[best], gain, False))
     return rows
 
 
