@@ -58,15 +58,19 @@ def _no_leaked_defaults() -> Iterator[None]:
     assert not styled, f"the test left matplotlib's rcParams changed: {sorted(styled)}"
 
 
-@pytest.fixture(autouse=True)
-def _no_global_random_numbers() -> Iterator[None]:
-    """Random numbers come from a generator that is handed over, never from the global one."""
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> Iterator[object]:
+    """Random numbers come from a generator that is handed over, never from the global one.
+
+    Around the function alone: a plugin may seed the global generator between the steps of a test.
+    """
     before = np.random.get_state(legacy=False)  # noqa: NPY002
-    yield
+    result = yield
     after = np.random.get_state(legacy=False)  # noqa: NPY002
     same = np.array_equal(before["state"]["key"], after["state"]["key"])
     assert same, "the test drew from (or seeded) numpy's global generator"
     assert before["state"]["pos"] == after["state"]["pos"], "the test drew from numpy's global generator"
+    return result
 
 
 @pytest.fixture
@@ -81,8 +85,20 @@ def rng(request: pytest.FixtureRequest) -> np.random.Generator:
     return np.random.default_rng(zlib.crc32(request.node.nodeid.encode()))
 
 
-#: s of a test that is neither slow nor a notebook. A run lists longer ones; on a loaded machine none fails.
-MOST = 8.0
+HERE = Path(__file__).resolve().parent
+#: What repeats a promise by a whole run, and what counts over seeds: -m slow. A line is a test, or one case of it.
+SLOW = frozenset((HERE / "slow.txt").read_text(encoding="utf-8").splitlines())
+#: Tests of the first tier that may take more than `MOST`: each holds a promise of the mission by a whole run.
+ORACLES = frozenset((HERE / "oracles.txt").read_text(encoding="utf-8").splitlines())
+#: s of CPU, children included, of any other test of the first tier. The summary lists those that take more.
+MOST = 0.7
+#: s of CPU of the whole run; 0: no limit. `.ci/run` sets it for the first tier.
+BUDGET = float(os.environ.get("RCOREFINE_CPU_BUDGET", "0"))
+#: "3/7": the third seventh of the files, so that the slow tier is run once a week; empty: all of them.
+PART = os.environ.get("RCOREFINE_PART", "")
+_BEGUN = pytest.StashKey[float]()
+
+
 #: Files that take longest: they begin first, so that all workers end together.
 LONGEST = tuple(
     f"tests/test_{name}.py"
@@ -129,6 +145,33 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     for item in items:
         if ATTACKS in item.path.parents:
             item.add_marker("attack")
+        if item.nodeid in SLOW or item.nodeid.split("[")[0] in SLOW:
+            item.add_marker("slow")
+    if PART:
+        part, parts = map(int, PART.split("/"))
+        files = sorted({item.location[0] for item in items})
+        chosen = set(files[part % parts :: parts])
+        config.hook.pytest_deselected(items=[item for item in items if item.location[0] not in chosen])
+        items[:] = [item for item in items if item.location[0] in chosen]
+
+
+def _cpu() -> float:
+    """Seconds of CPU of this process, its threads, and its children that have ended."""
+    return sum(os.times()[:4])
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Iterator[object]:
+    item.stash[_BEGUN] = _cpu()
+    return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[pytest.TestReport]:
+    report: pytest.TestReport = yield
+    if call.when == "teardown":
+        report.user_properties.append(("cpu", _cpu() - item.stash[_BEGUN]))
+    return report
 
 
 @pytest.fixture
@@ -141,32 +184,55 @@ def tally(request: pytest.FixtureRequest) -> Iterator[Tally]:
     request.node.user_properties.append(("tally", dict(found)))
 
 
+def _spent(terminalreporter: pytest.TerminalReporter) -> dict[str, float]:
+    """Seconds of CPU by test."""
+    return {
+        report.nodeid: value
+        for reports in terminalreporter.stats.values()
+        for report in reports
+        if isinstance(report, pytest.TestReport) and report.when == "teardown"
+        for key, value in report.user_properties
+        if key == "cpu"
+    }
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_sessionfinish(session: pytest.Session) -> Iterator[object]:
+    """Fail a run that took more than its budget of CPU."""
+    result = yield
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if BUDGET and reporter and sum(_spent(reporter).values()) > BUDGET and session.exitstatus == 0:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+    return result
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     total: Counter[str] = Counter()
-    files: Counter[str] = Counter()
-    tests: Counter[str] = Counter()
-    marked = set()
     for reports in terminalreporter.stats.values():
         for report in reports:
-            if not isinstance(report, pytest.TestReport):
-                continue
-            tests[report.nodeid] += report.duration
-            files[report.nodeid.split("::")[0]] += report.duration
-            if {"slow", "notebook"} & set(report.keywords):
-                marked.add(report.nodeid)
-            for key, value in report.user_properties:
-                if key == "tally" and report.when == "teardown":
-                    total.update(value)
+            if isinstance(report, pytest.TestReport) and report.when == "teardown":
+                for key, value in report.user_properties:
+                    if key == "tally":
+                        total.update(value)
     if total:
         terminalreporter.section("attacks")
         for kind in sorted(total):
             terminalreporter.line(f"{kind}: {total[kind]}")
+    spent = _spent(terminalreporter)
+    files: Counter[str] = Counter()
+    for name, seconds in spent.items():
+        files[name.split("::")[0]] += seconds
+    if spent:
+        limit = f", of {BUDGET:.0f} s allowed" if BUDGET else ""
+        terminalreporter.section(f"{sum(spent.values()):.0f} s of CPU{limit}")
     if sum(files.values()) > 60.0:
-        terminalreporter.section("time of the longest files; LONGEST of tests/conftest.py in this order")
+        terminalreporter.line("The longest files; LONGEST of tests/conftest.py has this order:")
         for file, seconds in files.most_common(len(LONGEST)):
             terminalreporter.line(f"{seconds:7.1f} s {file}")
-    over = [(name, seconds) for name, seconds in tests.most_common() if seconds > MOST and name not in marked]
+    if "slow" in terminalreporter.config.option.markexpr.replace("not slow", ""):
+        return
+    over = {name: s for name, s in spent.items() if s > MOST and name not in ORACLES}
     if over:
-        terminalreporter.section(f"tests of more than {MOST:g} s that are not marked")
-        for name, seconds in over:
+        terminalreporter.line(f"More than {MOST:g} s of CPU: to tests/slow.txt, or, with a reason, to tests/oracles.txt:")
+        for name, seconds in sorted(over.items(), key=lambda entry: -entry[1]):
             terminalreporter.line(f"{seconds:7.1f} s {name}")

@@ -11,6 +11,8 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from ..exceptions import ONE_THREAD
+
 _Method = TypeVar("_Method", bound=Callable[..., Any])
 _locks: WeakValueDictionary[int, Any] = WeakValueDictionary()  # of all objects that live
 _forking, _held = threading.Lock(), list[Any]()
@@ -44,7 +46,7 @@ if hasattr(os, "register_at_fork"):  # where there is fork
 
 
 def alone(method: _Method) -> _Method:
-    """Let only one thread at a time run a method.
+    """Let only one thread at a time run a method, with one thread of BLAS.
 
     Thus no sample is lost between two threads.
 
@@ -53,7 +55,7 @@ def alone(method: _Method) -> _Method:
 
     @wraps(method)
     def locked(self: Any, *args: Any, **kwargs: Any) -> Any:
-        with self._lock, np.errstate(all="ignore"):
+        with self._lock, np.errstate(all="ignore"), ONE_THREAD:
             return method(self, *args, **kwargs)
 
     return cast(_Method, locked)
