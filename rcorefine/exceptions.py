@@ -25,6 +25,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from functools import cached_property
 from threading import Lock
 from typing import Any
 
@@ -99,6 +100,13 @@ def warn(message: str, category: type[RCOWarning]) -> None:
         warnings.warn(message, category, stacklevel=level)
 
 
+def optional(module: str) -> Any:
+    """Return a module, or None where it is not installed."""
+    with suppress(ImportError):
+        return importlib.import_module(module)
+    return None
+
+
 def needed(module: str, extra: str, what: str) -> Any:
     """A module that not everybody has.
 
@@ -142,22 +150,23 @@ class _OneThread:
     1.5 ms; to set and restore the number takes 16 us.
     """
 
-    lock, inside, controller, limit = Lock(), 0, None, None
+    lock, inside = Lock(), 0
+
+    @cached_property
+    def blas(self) -> Any:
+        found = optional("threadpoolctl")
+        return found and found.ThreadpoolController()
 
     def __enter__(self) -> None:
-        with self.lock, suppress(ImportError):
+        with self.lock:
             self.inside += 1
-            if self.inside == 1:
-                if self.controller is None:
-                    from threadpoolctl import ThreadpoolController
-
-                    self.controller = ThreadpoolController()
-                self.limit = self.controller.limit(limits=1, user_api="blas")
+            if self.inside == 1 and self.blas:
+                self.limit = self.blas.limit(limits=1, user_api="blas")
 
     def __exit__(self, *_: object) -> None:
         with self.lock:
             self.inside -= 1
-            if self.limit and not self.inside:
+            if self.blas and not self.inside:
                 self.limit.restore_original_limits()
 
 

@@ -21,6 +21,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from .exceptions import optional
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 #: Reordering of sums is allowed (that is what vectorizes them); NaN and Inf keep their
@@ -28,18 +30,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 FASTMATH = {"reassoc", "contract", "nsz", "arcp"}
 
 
-def _numba() -> Any:
-    """Return the numba module, or None where it is absent or switched off."""
-    if os.environ.get("RCOREFINE_NUMBA", "1") == "0":
-        return None
-    try:
-        import numba
-    except ImportError:
-        return None
-    return numba
-
-
-_NUMBA = _numba()
+_NUMBA: Any = None if os.environ.get("RCOREFINE_NUMBA") == "0" else optional("numba")
 
 #: Whether kernels are compiled in this process.
 NUMBA: bool = _NUMBA is not None

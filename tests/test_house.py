@@ -358,6 +358,20 @@ def test_every_result_shows_itself():
             assert drawn == wanted[kind], kind.__name__
 
 
+@pytest.mark.parametrize("tier", ["slow", "oracles", "slow_in_plain_python"])
+def test_lists_of_tests_name_tests_that_exist(tier):
+    """A line is a test or one of its cases; a test that was renamed would change its tier unseen."""
+    root = PACKAGE.parent
+    lost = []
+    for line in (root / "tests" / f"{tier}.txt").read_text(encoding="utf-8").splitlines():
+        file, *names = line.split("[")[0].split("::")
+        if not (root / file).exists() or (
+            file.startswith("tests/") and f"def {names[-1]}(" not in (root / file).read_text(encoding="utf-8")
+        ):
+            lost.append(line)
+    assert lost == []
+
+
 def test_an_option_that_does_not_exist_is_named():
     with pytest.raises(TypeError, match=r"Measurement\.plot\(\).*'colour'"):
         rco.Measurement([0.0, 1.0, 2.0, 3.0], [0.0, 1.0, 2.0, 3.0], dt=0.1).plot(colour="red")

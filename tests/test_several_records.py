@@ -104,17 +104,23 @@ def test_order_of_the_records_does_not_matter(rng):
 
 @pytest.mark.parametrize("factor", [0.2, 5.0])
 def test_friction_does_not_depend_on_which_amplitude_comes_first(factor):
-    """The smoothing of sign(v) must suit the quiet record wherever it stands in the list."""
+    """The smoothing of sign(v) must suit the quiet record wherever it stands in the list.
+
+    With the same substeps the minima agree to 2e-4 standard deviations; substeps that are chosen may
+    shift a coefficient by half of one, as `refine` has it, and the two orders may choose differently.
+    """
     hidden = hidden_record(
         5, effect="coulomb_friction", plant="quarter car", loss=0.1, noise=0.01, samples=500
     )
     other = again(hidden, factor * hidden.data.inputs, 1)
     friction = rco.Effect("coulomb_friction", hidden.place)
-    pair = [
-        rco.refine(hidden.plant.model, records, [friction]).parameters[0]
-        for records in ([hidden.data, other], [other, hidden.data])
-    ]
-    assert pair[0].value == pytest.approx(pair[1].value, abs=0.05 * pair[0].std)
+    orders = [hidden.data, other], [other, hidden.data]
+    for substeps, share in ((16, 0.01), (None, 0.5)):
+        one, two = (
+            rco.refine(hidden.plant.model, records, [friction], substeps=substeps).parameters[0]
+            for records in orders
+        )
+        assert one.value == pytest.approx(two.value, abs=share * one.std)
 
 
 def test_segments_of_one_record_are_the_record_with_a_state_of_its_own(rng):
