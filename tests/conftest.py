@@ -86,7 +86,7 @@ def rng(request: pytest.FixtureRequest) -> np.random.Generator:
 
 
 HERE = Path(__file__).resolve().parent
-#: What repeats a promise by a whole run, and what counts over seeds: -m slow. A line is a test, or one case of it.
+#: What repeats a promise by a whole run, and what counts over seeds; a line is a test, or one case of it.
 SLOW = frozenset((HERE / "slow.txt").read_text(encoding="utf-8").splitlines())
 #: Tests of the first tier that may take more than `MOST`: each holds a promise of the mission by a whole run.
 ORACLES = frozenset((HERE / "oracles.txt").read_text(encoding="utf-8").splitlines())
@@ -233,6 +233,6 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         return
     over = {name: s for name, s in spent.items() if s > MOST and name not in ORACLES}
     if over:
-        terminalreporter.line(f"More than {MOST:g} s of CPU: to tests/slow.txt, or, with a reason, to tests/oracles.txt:")
+        terminalreporter.line(f"More than {MOST:g} s of CPU: to tests/slow.txt, or to tests/oracles.txt")
         for name, seconds in sorted(over.items(), key=lambda entry: -entry[1]):
             terminalreporter.line(f"{seconds:7.1f} s {name}")

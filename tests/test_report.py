@@ -342,6 +342,7 @@ STYLES = """[...document.querySelectorAll("%s")].map(e => {
 PICTURES = "[...document.images].map(i => [i.complete, i.naturalWidth, i.clientWidth, i.alt.length])"
 
 
+@pytest.mark.browser
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [400, 1400])
 @pytest.mark.parametrize("kind", KINDS)
@@ -369,6 +370,7 @@ def test_in_a_browser(browser, pages, kind, width, scheme):
     assert inverted == (scheme == "dark")
 
 
+@pytest.mark.browser
 def test_narrow_windows_get_pictures_of_their_own(browser, pages):
     """Letters of 10 pt stay 9 pixels high or more in a window of 400 pixels."""
     sizes = {}
@@ -380,6 +382,7 @@ def test_narrow_windows_get_pictures_of_their_own(browser, pages):
         assert 10 / 72 * 150 * shown / natural >= 9  # 150 points per inch in the file
 
 
+@pytest.mark.browser
 @pytest.mark.parametrize("kind", KINDS)
 def test_prints_to_pdf(browser, pages, kind):
     browser.show(pages[kind], width=1400, scheme="dark")
@@ -388,6 +391,7 @@ def test_prints_to_pdf(browser, pages, kind):
     assert 2 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 20
 
 
+@pytest.mark.browser
 def test_prints_dark_on_white_also_in_the_dark(browser, pages):
     browser.show(pages["comparison"], width=1400, scheme="dark")
     browser.call(
