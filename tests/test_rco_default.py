@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 import pickle
+import re
 import signal
 import threading
 import time
@@ -613,3 +614,39 @@ def test_intervals_of_entries_hold_the_true_ones():
             assert "Determined only together: A[0,1], B[0,0], A[1,0]." in " ".join(str(refiner).split())
     assert count > 40
     assert binom.cdf(inside, count, 0.95) > 0.001
+
+
+def test_rows_are_entries_of_the_model_that_was_given():
+    """Continuous for a continuous model, whichever form won, with errors by scipy's exponential."""
+    rng, dt, n = np.random.default_rng(4), 0.05, 2
+    plant, start = (
+        ct.ss([[0, 1], [-k, -c]], [[0], [1]], [[1, 0]], 0) for k, c in ((110.0, 0.5), (100.0, 0.4))
+    )
+    u = rng.standard_normal(1000)
+    y = ct.forced_response(plant.sample(dt), inputs=u).outputs
+    y = y + 0.02 * y.std() * rng.standard_normal(1000)
+    continuous = rco.RCORefiner(start, dt=dt, static="discrete")
+    discrete = rco.RCORefiner(start.sample(dt), static="discrete")
+    for refiner in (continuous, discrete):
+        refiner.update(u, y)
+        model = refiner.system
+        for row in refiner.parameters:
+            matrix, i, j = row.name[0], *map(int, re.findall(r"\d+", row.name))
+            assert row.value == pytest.approx(getattr(model, matrix)[i, j], rel=1e-9, abs=1e-9)
+            if refiner is continuous:
+                assert row.initial == getattr(start, matrix)[i, j]
+
+    def entries(values):
+        """Of the discrete model: the exponential of the zero-order hold."""
+        whole = np.zeros((n + 1, n + 1))
+        whole[:n, :n], whole[:n, n:] = values[: n * n].reshape(n, n), values[n * n :].reshape(n, 1)
+        found = expm(whole * dt)
+        return np.concatenate([found[:n, :n].ravel(), found[:n, n]])
+
+    center = np.array([row.value for row in continuous.parameters])
+    steps = 1e-5 * np.eye(center.size)
+    slope = np.linalg.inv(np.array([(entries(center + e) - entries(center - e)) / 2e-5 for e in steps]).T)
+    np.testing.assert_allclose(
+        continuous.standard_deviations[0], np.sqrt(np.diag(slope @ discrete.covariance @ slope.T)), rtol=0.02
+    )
+    np.testing.assert_allclose(continuous.static_theta[0], [r.coefficient for r in continuous.parameters])

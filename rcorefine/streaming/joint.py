@@ -15,6 +15,7 @@ import numpy as np
 from ..arguments import as_flag, as_list, as_whole
 from ..effects.effect import Effect
 from ..exceptions import ModelError, RCOError
+from ..inference.covariance import standard_deviations
 from ..models.operating_point import check_stream_hold
 from ..models.physical_model import PhysicalModel
 from ..systems.conversion import nearest_continuous
@@ -223,7 +224,7 @@ class JointStages:
             x_D=beside(None if first is None else first.x, self.model.n_states),
             x=joined([r.x for r, _ in part.records], (lay.n,)),
             y=y,
-            names=setup.labels,
+            names=tuple(f"discrete {name}" for name in setup.labels) if setup.translates else setup.labels,
             output_labels=self.model.output_labels,
         )
 
@@ -261,18 +262,18 @@ def variants(part: CoefficientFilter) -> list[LinearModel]:
     There is one along each independent direction of the coefficients.
     """
     setup, memory = part.setup, part.memory
-    covariance = part.covariance
+    theta, covariance = part.own
     if memory.rounds == 0 or not covariance.size:
         return []
     # correlation first: coefficients of unlike size would hide one another
-    size = part.standard_deviations
+    size = standard_deviations(covariance)
     scale = np.where(size > 0, size, 1.0)
     # principal directions of the correlation matrix: independent of each other
     values, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
     # one standard deviation along each, in units of the coefficients
     steps = (directions * np.sqrt(np.maximum(values, 0.0))).T * scale
     return [
-        setup.system(part.theta + _SHARE * step, memory.widths, "variant") for step in steps if step.any()
+        setup.system(theta + _SHARE * step, memory.widths, "variant") for step in steps if step.any()
     ]
 
 

@@ -16,8 +16,9 @@ import numpy as np
 
 from ...effects.bodies import Entry
 from ...engine.linear import state_power
-from ...exceptions import ModelError
-from ...systems.conversion import to_discrete
+from ...exceptions import ConversionWarning, ModelError, unheard
+from ...inference.covariance import standard_deviations
+from ...systems.conversion import nearest_continuous, to_discrete
 from ...systems.discretization import exponential
 from ...systems.linear import Array, LinearModel
 from .kernel import Kernel, Layout
@@ -27,6 +28,7 @@ from .setup import DOUBT, NEVER, CoefficientMemory, CoefficientSetup, FilterSett
 MILESTONES = (32, 64, 128, 256, 512, 1024, 2048)
 _TINY_STEP = 1e-30
 _SHARE = 0.3  # of its standard deviation that an entry may move before the model is discretized anew
+_SMALL = 1e-4  # of a standard deviation, for derivatives of the continuous entries
 _SURPRISE = 9.0  # mean square of about 32 innovations over their variance: what was learned does not hold
 _UNSEEN = 1e-7  # of the largest change of the response: a direction that changes it less changes nothing
 _LEAST = 0.1  # prior of an entry that is zero, over what would move its row as much as all else does
@@ -51,7 +53,7 @@ class EntriesSetup(CoefficientSetup):
     nominal : ndarray of shape (p,)
         Size of what each coefficient changes, in its unit; 0 where that is zero.
     value : ndarray of shape (p,)
-        Value of the entry at coefficient zero, 0 where it is no single entry.
+        Entry of the initial model as it was given, 0 where a coefficient is no single entry.
     share_of_rate : float
         Prior standard deviation of a coefficient over what would move its row as much as all else does.
     settings : FilterSettings
@@ -115,6 +117,31 @@ class EntriesSetup(CoefficientSetup):
         return self.base.with_arrays(
             A=whole[:n, :n], B=whole[:n, n:], C=whole[n:, :n], D=whole[n:, n:], name=name
         )
+
+    @property
+    def translates(self) -> bool:  # type: ignore[override]
+        """Whether a continuous model is estimated by its discrete entries."""
+        return self.model.is_continuous and not self.base.is_continuous
+
+    def translated(self, theta: Array, covariance: Array) -> tuple[Array, Array]:
+        """Return coefficients and covariance in the time domain of the model that was given.
+
+        Entries of a discrete form of a continuous model are those of its continuous model; the covariance
+        follows to first order. What is not learned stays as it is.
+        """
+        if not (self.translates and np.isfinite(covariance).all()):
+            return theta, covariance
+        steps = np.diag(_SMALL * standard_deviations(covariance))
+        with unheard(ConversionWarning):
+            found, *moved = (self._continuous(theta + step) for step in (0.0 * theta, *steps))
+        sizes = np.where(np.diag(steps) > 0, np.diag(steps), 1.0)
+        slope = (np.array(moved) - found).T / sizes
+        return found - self.value, slope @ covariance @ slope.T
+
+    def _continuous(self, theta: Array) -> Array:
+        """Return the entries of the continuous model at these coefficients."""
+        near = nearest_continuous(self.system(theta, theta, ""))
+        return np.tensordot(self.patterns, np.block([[near.A, near.B], [near.C, near.D]]), axes=2)
 
     def rows(self, theta: Array, spread: Array) -> tuple[Any, ...]:
         """Estimated parameters, one row each."""
@@ -410,7 +437,8 @@ def _of_entries(
     patterns = np.zeros((len(places), *whole.shape))
     for a, (i, j) in enumerate(places):
         patterns[a, i, j] = 1.0
-    value = np.array([whole[place] for place in places], dtype=float)
+    given = np.block([[initial.A, initial.B], [initial.C, initial.D]])
+    value = np.array([given[place] for place in places], dtype=float)
     nominal = np.array([abs(rest[place]) for place in places], dtype=float)
     return EntriesSetup(initial, base, patterns, tuple(map(str, entries)), nominal, value, rate, settings)
 

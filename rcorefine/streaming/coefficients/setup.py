@@ -200,6 +200,12 @@ class CoefficientSetup(ABC):
     def rows(self, theta: Array, spread: Array) -> tuple[Any, ...]:
         """Estimated parameters, one row each."""
 
+    translates = False  #: whether the coefficients are of another time domain than the model that was given
+
+    def translated(self, theta: Array, covariance: Array) -> tuple[Array, Array]:
+        """Return coefficients and covariance in the time domain of the model that was given."""
+        return theta, covariance
+
     def milestone(self, rounds: int) -> int:
         """Return after how many samples the first ones are filtered again.
 
@@ -655,22 +661,28 @@ class CoefficientFilter:
         return self.setup.layout.parts(self.memory.packed)
 
     @property
-    def theta(self) -> Array:
-        """Coefficients, shape (p,)."""
-        return np.array(self.parts.theta)
+    def own(self) -> tuple[Array, Array]:
+        """Coefficients (p,) and their covariance (p, p), in the time domain that they are estimated in.
 
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the coefficients, shape (p, p).
-
-        It is infinite before anything is learned. Where coefficients are held, it is that of their prior.
+        The covariance is infinite before anything is learned. Where coefficients are held, it is that of
+        their prior.
         """
-        found = np.array(self.parts.Pt)
+        theta, found = np.array(self.parts.theta), np.array(self.parts.Pt)
         # before the first milestone nothing is learned
         if not found.any():
             found[np.diag_indices_from(found)] = np.inf
-            return found
-        return found + self.setup.held_covariance(self.memory.spread)
+            return theta, found
+        return theta, found + self.setup.held_covariance(self.memory.spread)
+
+    @property
+    def theta(self) -> Array:
+        """Coefficients, shape (p,), in the time domain of the model that was given."""
+        return self.setup.translated(*self.own)[0]
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of `theta`, shape (p, p)."""
+        return self.setup.translated(*self.own)[1]
 
     @property
     def standard_deviations(self) -> Array:
@@ -683,7 +695,8 @@ class CoefficientFilter:
     @property
     def parameters(self) -> tuple[Any, ...]:
         """Rows: name, kind, place, initial, value, coefficient, std, unit, role."""
-        return self.setup.rows(self.theta, self.standard_deviations)
+        theta, covariance = self.setup.translated(*self.own)
+        return self.setup.rows(theta, standard_deviations(covariance))
 
     form = "coefficients"
 
@@ -703,7 +716,7 @@ class CoefficientFilter:
         """Refined linear model, in the timebase that it is estimated in."""
         if self.memory.rounds == 0:
             return self.setup.model.with_arrays(name=name)
-        return self.setup.system(self.theta, self.memory.widths, name)
+        return self.setup.system(self.own[0], self.memory.widths, name)
 
     def discrete_system(self, name: str) -> LinearModel:
         """Refined linear model, its input held between samples."""
