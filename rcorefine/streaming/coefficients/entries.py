@@ -120,11 +120,11 @@ class EntriesSetup(CoefficientSetup):
 
     @property
     def translates(self) -> bool:  # type: ignore[override]
-        """Whether a continuous model is estimated by its discrete entries."""
+        """True where discrete entries stand for a continuous model."""
         return self.model.is_continuous and not self.base.is_continuous
 
     def translated(self, theta: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return coefficients and covariance in the time domain of the model that was given.
+        """Return coefficients and covariance in the given time domain.
 
         Entries of a discrete form of a continuous model are those of its continuous model; the covariance
         follows to first order. What is not learned stays as it is.

@@ -203,7 +203,7 @@ class CoefficientSetup(ABC):
     translates = False  #: whether the coefficients are of another time domain than the model that was given
 
     def translated(self, theta: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return coefficients and covariance in the time domain of the model that was given."""
+        """Return coefficients and covariance in the given time domain."""
         return theta, covariance
 
     def milestone(self, rounds: int) -> int:
@@ -662,7 +662,7 @@ class CoefficientFilter:
 
     @property
     def own(self) -> tuple[Array, Array]:
-        """Coefficients (p,) and their covariance (p, p), in the time domain that they are estimated in.
+        """Coefficients (p,) and covariance (p, p) as they are estimated.
 
         The covariance is infinite before anything is learned. Where coefficients are held, it is that of
         their prior.
@@ -676,7 +676,7 @@ class CoefficientFilter:
 
     @property
     def theta(self) -> Array:
-        """Coefficients, shape (p,), in the time domain of the model that was given."""
+        """Coefficients, shape (p,), in the time domain of the given model."""
         return self.setup.translated(*self.own)[0]
 
     @property
