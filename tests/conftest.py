@@ -141,13 +141,15 @@ class Tally(Counter[str]):
         return max(1, round(quick * self.scale))
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Iterator[None]:
     for item in items:
         if ATTACKS in item.path.parents:
             item.add_marker("attack")
         if item.nodeid in SLOW or item.nodeid.split("[")[0] in SLOW:
             item.add_marker("slow")
-    if PART:
+    yield
+    if PART:  # of the files that have tests of this tier
         part, parts = map(int, PART.split("/"))
         files = sorted({item.location[0] for item in items})
         chosen = set(files[part % parts :: parts])
