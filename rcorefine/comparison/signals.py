@@ -15,6 +15,7 @@ from ..systems.linear import Array
 
 _NOISE = 6.0  # standard deviations of the noise by which a signal must pass its level to count as crossing it
 _WITHIN = 1 / 6  # of a half cycle on either side of an extreme to which a parabola is fitted
+_ROUNDING = 1e-12  # of an output, below which what a model leaves is rounding
 _SMOOTHED = 5  # amplitudes to which a logarithmic decrement is fitted
 
 
@@ -56,6 +57,21 @@ def fit_percent(measured: ArrayLike, simulated: ArrayLike) -> Array:
     constant = np.broadcast_to((y == y[..., :1]).all(axis=-1), error.shape)
     ratio = np.divide(error, spread, out=np.full(error.shape, np.nan), where=~constant)
     return np.asarray(100.0 * (1.0 - ratio))
+
+
+def is_rounding(residual: Array, outputs: Array) -> NDArray[np.bool_]:
+    """Return, by output, whether a residual is no more than rounding.
+
+    Parameters
+    ----------
+    residual, outputs : ndarray of shape (n_y, N)
+        What a model leaves of the outputs.
+
+    Returns
+    -------
+    ndarray of shape (n_y,)
+    """
+    return np.asarray(root_mean_square(residual) <= _ROUNDING * root_mean_square(outputs))
 
 
 def root_mean_square(residual: ArrayLike) -> Array:

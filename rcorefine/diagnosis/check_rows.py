@@ -13,6 +13,7 @@ import numpy as np
 from scipy import stats
 
 from ..comparison.result import Comparison
+from ..comparison.signals import is_rounding
 from ..data.measurement import Measurement
 from ..data.records import clipped, coarse_noise, resolution
 from ..effects.effect import Effect
@@ -352,15 +353,16 @@ def feedback_rows(compared: Comparison) -> Iterator[CheckRow]:
     """
     data = compared.data
     residuals = data.outputs - compared.runs[0]
+    shown = np.flatnonzero(~is_rounding(residuals, data.outputs))
     # where the input of a sample already shows in its output, only earlier residuals are past
     at_once = data.hold != "zoh" or bool(compared.models[0].D.any())
     tested = False
     for label, w in zip(data.input_labels, data.inputs, strict=True):
-        if np.ptp(w) == 0 or _periodic(w) or data.n_samples < 10 * _LAGS:
+        if np.ptp(w) == 0 or _periodic(w) or data.n_samples < 10 * _LAGS or not shown.size:
             continue
         tested, new = True, _white(w)
         # whiten the input, then correlate it with past residuals
-        for name, e in zip(data.output_labels, residuals, strict=True):
+        for name, e in ((data.output_labels[i], residuals[i]) for i in shown):
             p, most = _follows(new, _white(e), 1 if at_once else 0)
             if p < _FEEDBACK and most > _STRONG:
                 yield CheckRow(

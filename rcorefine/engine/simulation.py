@@ -23,7 +23,7 @@ from ..results import Data
 from ..systems.linear import Array, LinearModel
 from .controlled import loop_gain, own_states
 from .engine import Engine
-from .initial_state import estimate_initial_state
+from .initial_state import estimate_initial_state, output_scales
 from .inputs import interpolate_band_limited, straight_lines
 from .linear import recursion, unit_responses
 from .observer import leading_gain
@@ -356,7 +356,7 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
         raise DivergenceError(f"its state leaves all bounds within {data.n_samples} samples")
     if start is None:
         # least squares: outputs are affine in the initial state
-        weights = 1.0 / np.maximum(data.outputs.std(axis=1), 1e-300)
+        weights = output_scales(data.outputs)
         slopes = np.einsum("y,yi,kij->ykj", weights, model.C, unit).reshape(-1, model.n_states)
         error = (weights[:, None] * (forced - data.outputs)).ravel()
         start = gauss_newton(
