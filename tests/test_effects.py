@@ -1,10 +1,12 @@
 """The catalogue of kinds and the effects made from it."""
 
 import copy
+import itertools
 import math
 import pickle
 
 import control as ct
+import numpy as np
 import pytest
 from inner import KINDS
 
@@ -84,6 +86,11 @@ TABLE = {
 }
 
 
+#: What has no other side: an absolute temperature.
+ONE_SIDED = {"radiation"}
+UNSIGNED = {"step": 0.1, "held": 1.0}
+
+
 def square(d, v):
     return v * abs(v)
 
@@ -122,6 +129,59 @@ class TestKinds:
             -math.inf,
             math.inf,
         )  # damage is negative
+
+    @pytest.mark.parametrize(
+        "name", [name for name, law in KINDS.items() if getattr(law, "arguments", ()) and not law.needs_law]
+    )
+    def test_what_acts_on_one_side_exists_for_the_other(self, name):
+        """Turn every signal over: the force is turned over, for other values of the law or its other side."""
+        law, rng = KINDS[name], np.random.default_rng(5)
+        bounds = np.array([[c.lower, c.upper] for c in law.coefficients]).T
+        values = rng.uniform(0.0, 0.9, len(law.coefficients)) + np.maximum(bounds[0], 0.1)
+        constants = dict(law.constants) | {"width": 0.1}
+        points = [{n: rng.uniform(-2.0, 2.0) for n in law.signals} for _ in range(12)]
+
+        def forces(turn, values, side):
+            """None where the values are outside the bounds of the law."""
+            if not (bounds[0] <= values).all() or not (values <= bounds[1]).all():
+                return None
+            given = constants | {"side": side} | dict(zip(law.coefficient_names, values, strict=True))
+            found = []
+            for point in points:
+                known = {n: turn * x for n, x in point.items()} | UNSIGNED | given
+                if law.feels_inputs:
+                    known["w"] = np.ones(2)
+                found.append(law.law(**{n: known[n] for n in law.arguments}))
+            return turn * np.array(found)
+
+        wanted = forces(1.0, values, 1.0)
+        others = (
+            np.array(order) * signs
+            for order in itertools.permutations(values)
+            for signs in itertools.product((1.0, -1.0), repeat=len(values))
+        )
+        sides = (1.0, -1.0) if "side" in law.constants else (1.0,)
+        there = any(
+            (found := forces(-1.0, other, side)) is not None and np.allclose(found, wanted)
+            for other in others
+            for side in sides
+        )
+        assert there != (name in ONE_SIDED), law.formula
+
+    def test_the_other_side_has_a_name_of_its_own(self):
+        here = rco.Effect("bilinear_stiffness", "link1")
+        there = here.replace(fixed={"side": -1})
+        assert here.sides == [here, there]
+        assert there.sides == [there]
+        assert rco.Effect("stiffness", "link1").sides == [rco.Effect("stiffness", "link1")]
+        model = rco.mass_spring_damper([1.0], [0.8], [100.0])
+        assert {here.label, here.key}.isdisjoint({there.label, there.key})
+        for name in (there.label, there.key):
+            assert rco.describe_effects([name]) == rco.describe_effects([there])
+            assert rco.describe_effects([name]) != ""
+        assert there in [e for one in rco.effect_library(model) for e in one.sides]
+        with pytest.raises(rco.ModelError, match="must be 1 or -1"):
+            here.replace(fixed={"side": 2})
 
     def test_starts_that_must_be_found(self):
         nowhere = {

@@ -118,6 +118,7 @@ class Case:
             self.motions[0].companions = self.motions[1:]
         # candidates that the records can show and the model does not hold
         library = candidates_of(physical) if asked is None else asked
+        library = list(dict.fromkeys(side for effect in library for side in effect.sides))
         library = seen_in(physical, library, ordered, asked is not None)
         self.library = not_held(self._distinct(library) if asked is None else library, base.effects)
         if not self.library:

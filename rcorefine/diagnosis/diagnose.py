@@ -228,7 +228,8 @@ def diagnose(
     Decision: "adequate" needs a residual that passes the tests, and no set that is ``1 / significance`` times
     as probable. The verdict "effect" needs a probability of at least 0.95, or of 0.5 if no other set is
     within odds of 100:1. A hidden state (a mode, a store) is named only if no black box without that state
-    reaches the same error. If one force law contains another, the simpler one is named within odds of 10:1.
+    reaches the same error. If one force law contains another, the simpler one is named within odds of 10:1,
+    or if the limit that distinguishes them is within two standard deviations of its value there.
 
     With several outputs, an output without information in any record is left out, with everything that
     depends on it. Such an output is constant, stops, or shows noise only. The notes name it and give the

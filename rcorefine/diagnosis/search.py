@@ -283,9 +283,12 @@ class Search:
             self.polish()
         self._further()
         self._disturbances()
-        # other effects with the same force, then special cases
+        # fewer effects, other effects with the same force, then special cases
         with self.step("other names"):
-            self._rename()
+            for _ in self._improving(_ROUNDS):
+                self._without_parameters()
+                self._prune()
+                self._names()
         self.polish()
         if self.passed(self.best):  # a special case leaves no smaller residual
             self._simplify()
@@ -320,13 +323,6 @@ class Search:
                 self.relinearized(before)
             self._cores(self.ranked()[:4])
             self.polish()
-
-    def _rename(self) -> None:
-        """Refit the best set with fewer effects, and under other names."""
-        for _ in self._improving(_ROUNDS):
-            self._without_parameters()
-            self._prune()
-            self._names()
 
     def _screens(self, fitted: FittedModel, effects: Sequence[Effect], strong: bool) -> list[Screen]:
         """Return screens at a model in up to four metrics.

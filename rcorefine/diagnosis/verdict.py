@@ -28,6 +28,7 @@ from .search import Search, is_gain, is_number
 
 _CLOSE = 12  # most probable sets of which one may be close enough
 _LEFT_OVER = 0.3  # of the error of the model as it is, that what explains it may leave
+_ERRORS = 2.0  # standard deviations within which a shape is that of a simpler law
 _ROUNDS, _PART = 4, 0.02  # of the noise model; share of an effect in a residual that does not change it
 
 
@@ -191,9 +192,12 @@ def answer(search: Search, rows: Sequence[TableRow], passed: Passed) -> Answer:
     for row in rows[:4]:
         if row.value < rows[0].value + excluded:
             break
-        trial = next((t for t in row.trials[:3] if passed(t)), None)
+        trial = next(filter(passed, row.trials[:3]), None)
         if trial is not None:
-            return _named(search, rows, row, trial, passed) if _likely(rows, row, total) else unexplained
+            # sets that failed have less than half the probability, related ones left out
+            failed = (one for one in rows[: rows.index(row)] if not _related(one, row))
+            likely = log_sum(failed) < total + np.log(0.5)
+            return _named(search, rows, row, trial, passed) if likely else unexplained
     return unexplained
 
 
@@ -236,77 +240,55 @@ def _model_error(search: Search, trial: Trial) -> float:
     return max((one.model / max(least, one.step, 1e-300) for one in left), default=np.inf)
 
 
-def _likely(rows: Sequence[TableRow], row: TableRow, total: float) -> bool:
-    """Return whether failed rows have less than half the probability.
-
-    Rows before the given one failed. Its special cases, and rows that contain it, do not count.
-    """
-    # probability of rows that failed, related sets left out
-    failed = (one for one in rows[: rows.index(row)] if not _related(one, row))
-    return bool(log_sum(failed) < total + np.log(0.5))
-
-
 def _related(one: TableRow, other: TableRow) -> bool:
     """Return whether one set of effects is a special case of the other."""
     return special(one.effects, other.effects) or special(other.effects, one.effects)
 
 
 def _family(rows: Sequence[TableRow], row: TableRow) -> list[TableRow]:
-    """Return the rows whose probability counts for a row.
+    """Return a row and the rows whose probability counts for it.
 
     If its effects are parameters of the model only, those are re-estimated parameters, too.
     """
-    family = [r for r in rows if _related(r, row)]
-    if row.effects and all(map(is_number, row.effects)):
-        family += [r for r in rows if not r.effects and r.floated]
-    return family
-
-
-class _Choice(NamedTuple):
-    """The row and fit that an answer names.
-
-    Attributes
-    ----------
-    row, trial
-        As in `Answer`.
-    family : list of TableRow
-        Other rows whose probability counts for it.
-    contested : bool
-        Whether a simpler law is as probable, but fails its tests: neither of the two is certain then.
-    """
-
-    row: TableRow
-    trial: Trial
-    family: list[TableRow]
-    contested: bool = False
+    numbers = row.effects and all(map(is_number, row.effects))
+    return [r for r in rows if r is row or _related(r, row) or (numbers and r.floated and not r.effects)]
 
 
 def _preferred(
-    search: Search, rows: Sequence[TableRow], row: TableRow, trial: Trial, passed: Passed
-) -> _Choice:
-    """Return a simpler law if it is nearly as probable and passes."""
-    family, least = _family(rows, row), row.value - search.case.levels.family
-    simpler = [r for r in family if special(r.effects, row.effects) and r.value > least]
-    if not simpler:
-        return _Choice(row, trial, family)
-    first = simpler[0]
-    passing = next(filter(passed, first.trials[:3]), None)
-    if passing is not None:
-        return _Choice(first, passing, [r for r in (*family, row) if r is not first])
-    # the evidence does not exclude what the tests reject
-    contested = [row, *simpler]
-    first = max(contested, key=lambda r: r.value)
-    rest = [r for r in family if r not in contested]
-    return _Choice(first, trial if first is row else first.trials[0], rest, True)
+    family: Sequence[TableRow], row: TableRow, trial: Trial, passed: Passed, levels: Levels
+) -> tuple[TableRow, Trial]:
+    """Return the row and fit to name of a row and those related to it.
+
+    A simpler law is named if it is nearly as probable and passes. It is also named if the shape of the
+    general law is within two standard deviations of the value at which it is the simpler one.
+    """
+    for simpler in (r for r in family if special(r.effects, row.effects)):
+        odds = row.value - simpler.value
+        reached = odds < 0.5 * levels.rival and _reaches(trial, simpler.effects)
+        for fit in simpler.trials[:3]:
+            if reached or (odds < levels.family and passed(fit)):
+                return simpler, fit
+    return row, trial
+
+
+def _reaches(trial: Trial, simpler: Sequence[Effect]) -> bool:
+    """Return whether a law of a trial is a simpler one within its errors."""
+    law, *more = set(trial.effects) - set(simpler)
+    (effect, *_) = set(simpler) - set(trial.effects)
+    shape = law.spec.contains.get(effect.kind)
+    if more or not shape:
+        return False
+    rows = estimates(trial.model.refinement, law)
+    return all(n in rows and abs(rows[n].coefficient - x) <= _ERRORS * rows[n].std for n, x in shape.items())
 
 
 def _named(search: Search, rows: Sequence[TableRow], row: TableRow, trial: Trial, passed: Passed) -> Answer:
     """Return the answer for a row with a trial that passes its tests."""
-    levels = search.case.levels
-    row, trial, family, contested = _preferred(search, rows, row, trial, passed)
+    levels, family = search.case.levels, _family(rows, row)
+    row, trial = _preferred(family, row, trial, passed, levels)
     # probability that the force is of another form, from the free-force odds
     none = 1.0 / (1.0 + float(np.exp(-search.criticized(trial).odds)))
-    probability = float(np.exp(log_sum([row, *family]) - log_sum(rows))) * (1.0 - none)
+    probability = float(np.exp(log_sum(family) - log_sum(rows))) * (1.0 - none)
     # effects to name: without those that were not asked for, and gains beside re-estimated parameters
     floated, unasked = trial.hypothesis.floated, not_held(row.effects, search.case.library)
     asked = not_held(row.effects, unasked)
@@ -316,11 +298,12 @@ def _named(search: Search, rows: Sequence[TableRow], row: TableRow, trial: Trial
         return Answer(word, row, trial, (), (), (), probability, none)
     # ties: other rows that the data cannot distinguish from this one
     least = row.value - 0.5 * levels.rival
-    ties = tuple(r for r in rows if r.value > least and r not in (row, *family))
+    ties = tuple(r for r in rows if r.value > least and r not in family)
     # named alone: probable enough, or at least one half and nothing near
     alone = probability >= (levels.named if ties else min(levels.named, 0.5))
-    word = "effect" if alone and not contested else "ambiguous"
-    return Answer(word, row, trial, effects, ties, tuple(family), probability, none)
+    word = "effect" if alone else "ambiguous"
+    inside = tuple(r for r in family if r is not row)
+    return Answer(word, row, trial, effects, ties, inside, probability, none)
 
 
 class Listed(NamedTuple):

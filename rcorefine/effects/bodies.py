@@ -13,7 +13,18 @@ from scipy.signal import lfilter
 
 from ..systems.linear import Array
 from .formula import PortLaw
-from .law import AbsorbedLaw, Assembly, Coefficient, Seen, Site, positive, register, rms
+from .law import (
+    ONE_SIDE,
+    PORTS,
+    AbsorbedLaw,
+    Assembly,
+    Coefficient,
+    Seen,
+    Site,
+    positive,
+    register,
+    rms,
+)
 
 _SMALL = 0.03  # initial force over the force that moves the port
 _PACES = (1.0, 4.0, 0.25)  # initial time constants over that of the motion
@@ -32,7 +43,7 @@ class _Coupled(AbsorbedLaw):
 class MaxwellElement(_Coupled):
     """Spring and damper in series."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     of_speeds = True
     coefficients = (
         positive("stiffness", "force/position", "its spring"),
@@ -188,23 +199,23 @@ class MagneticForce(PortLaw):
             "strength", "force position^2/signal^2", explanation="k: pull at unit current and distance"
         ),
     )
-    constants = MappingProxyType({"gap": 1.0, "current": 1.0})
-    formula = "f = -k i^2/(gap - d)^2, i the input numbered `current` from 1"
+    constants = MappingProxyType({"gap": 1.0, "current": 1.0, **ONE_SIDE})
+    formula = "f = -k side i^2/(gap - side d)^2, i the input numbered `current` from 1"
     explanation = "A magnet pulls at {place}, by the square of its current over the square of its distance."
     belongs_to = "stiffness"
     on_request = True  # the input that is the current, and the distance of the magnet, must be known
 
     @staticmethod
-    def law(d, w, strength, gap, current):  # type: ignore[no-untyped-def]
+    def law(d, w, strength, gap, current, side):  # type: ignore[no-untyped-def]
         """Formula: a pull towards positive d is a negative resistance."""
-        return -strength * (w[int(current) - 1] / (gap - d)) ** 2
+        return -strength * side * (w[int(current) - 1] / (gap - side * d)) ** 2
 
 
 @register
 class Mass(AbsorbedLaw):
     """Change of a moving mass, or of a store."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     coefficients = (Coefficient("mass", "force s/velocity", explanation="added mass"),)
     formula = "f = t dv/dt"
     explanation = "The moving mass at {place} is larger than the model says (smaller, if negative)."
@@ -285,7 +296,7 @@ class HiddenMode(_Coupled):
 class ConstantForce(AbsorbedLaw):
     """Weight, preload, leak."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     coefficients = (Coefficient("force", "force", explanation="constant resisting force"),)
     formula = "f = t"
     explanation = "A constant force acts at {place}: weight, preload or a tilted base."

@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from ..systems.linear import Array
 from .formula import FADED, FormulaLaw, InputLaw, OutputLaw
 from .law import (
+    ONE_SIDE,
     AbsorbedLaw,
     Assembly,
     Coefficient,
@@ -48,6 +49,7 @@ class _ChannelGain(AbsorbedLaw):
 class _Offset(AbsorbedLaw):
     """Offset of a channel."""
 
+    coefficients = (Coefficient("offset", "signal", explanation="constant added to the signal"),)
     holds_constant = True
     signal = "constant"
 
@@ -97,6 +99,48 @@ class _Lag(AbsorbedLaw):
         return [{"time_constant": q * seen.dt} for q in (1.0, 5.0, 25.0)]
 
 
+class _Saturation(FormulaLaw):
+    """Channel with a limit."""
+
+    coefficients = (positive("limit", "signal", "largest size that passes", shapes=True),)
+    signal = "saturation"
+    secant = True
+
+    @staticmethod
+    def law(s, limit):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return min(max(s, -limit), limit)
+
+
+class _Range(FormulaLaw):
+    """Channel with two limits."""
+
+    coefficients = (
+        Coefficient("low", "signal", explanation="least that passes", default_start=None),
+        Coefficient("high", "signal", explanation="most that passes", default_start=None),
+    )
+    secant = True
+
+    @staticmethod
+    def law(s, low, high):  # type: ignore[no-untyped-def]
+        """Formula."""
+        return min(max(s, low), high)
+
+
+class _ChannelPlay(FormulaLaw):
+    """Channel that moves on only a gap after its signal has turned."""
+
+    coefficients = (positive("gap", "signal", "play on either side", shapes=True),)
+    secant = True
+
+    @staticmethod
+    def law(s, z_start, gap):  # type: ignore[no-untyped-def]
+        """Formula."""
+        # the result stays within the gap of the signal
+        r = min(max(z_start, s - gap), s + gap)
+        return r, r
+
+
 # laws at inputs
 @register
 class InputGain(_ChannelGain):
@@ -112,7 +156,6 @@ class InputOffset(_Offset):
     """Actuator with an offset."""
 
     where = frozenset(["input"])
-    coefficients = (Coefficient("offset", "signal", explanation="constant added to the input"),)
     formula = "w -> w + t"
     explanation = "The input {place} has an offset: a constant is added before it acts."
 
@@ -195,18 +238,11 @@ class InputDeadzone(InputLaw):
 
 
 @register
-class InputSaturation(InputLaw):
+class InputSaturation(_Saturation, InputLaw):
     """Actuator with a limit."""
 
-    coefficients = (positive("limit", "signal", "largest size that acts", shapes=True),)
-    signal = "saturation"
     formula = "w -> min(max(w, -limit), limit)"
     explanation = "The input {place} saturates: it cannot exceed a limit in either direction."
-
-    @staticmethod
-    def law(w, limit):  # type: ignore[no-untyped-def]
-        """Formula."""
-        return min(max(w, -limit), limit)
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Return limits that the input reaches, and a lower one.
@@ -219,24 +255,14 @@ class InputSaturation(InputLaw):
 
 
 @register
-class InputRange(InputLaw):
+class InputRange(_Range, InputLaw):
     """Actuator with two limits."""
 
-    coefficients = (
-        Coefficient("low", "signal", explanation="least that acts", default_start=None),
-        Coefficient("high", "signal", explanation="most that acts", default_start=None),
-    )
     signal = "saturation"
     formula = "w -> min(max(w, low), high)"
     explanation = "The input {place} has two limits: nothing below one and nothing above the other acts."
-    secant = True
     on_request = True  # most records do not distinguish it from saturation with an offset
     contains = MappingProxyType({"input_saturation": {}})
-
-    @staticmethod
-    def law(w, low, high):  # type: ignore[no-untyped-def]
-        """Formula."""
-        return min(max(w, low), high)
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Levels that the input passes in both directions, or in one."""
@@ -283,20 +309,12 @@ class InputAsymmetry(InputLaw):
 
 
 @register
-class InputPlay(InputLaw):
+class InputPlay(_ChannelPlay, InputLaw):
     """Backlash of an actuator: inside the gap nothing moves on."""
 
-    coefficients = (positive("gap", "signal", "play on either side", shapes=True),)
     formula = "r follows w with play of +- gap, w -> r"
     explanation = "The input {place} has play: it acts again only a gap after it has turned."
     on_request = True  # a force has no play, a position or an angle that is commanded has
-
-    @staticmethod
-    def law(w, z_start, gap):  # type: ignore[no-untyped-def]
-        """Formula."""
-        # the output stays within the gap of the input
-        r = min(max(z_start, w - gap), w + gap)
-        return r, r
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps in shares of the command."""
@@ -367,7 +385,6 @@ class OutputOffset(_Offset):
     """Sensor with an offset."""
 
     where = frozenset(["output"])
-    coefficients = (Coefficient("offset", "signal", explanation="constant added to the output"),)
     formula = "y -> y + t"
     explanation = "The sensor {place} has an offset: a constant is added to what it measures."
 
@@ -428,18 +445,11 @@ class OutputLag(_Lag):
 
 
 @register
-class OutputSaturation(OutputLaw):
+class OutputSaturation(_Saturation, OutputLaw):
     """Sensor with a limit."""
 
-    coefficients = (positive("limit", "signal", "largest size it can show", shapes=True),)
-    signal = "saturation"
     formula = "y -> min(max(y, -limit), limit)"
     explanation = "The sensor {place} is capped: beyond a limit it shows the limit."
-
-    @staticmethod
-    def law(y, limit):  # type: ignore[no-untyped-def]
-        """Formula."""
-        return min(max(y, -limit), limit)
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Limits at the top of the record, and below."""
@@ -449,22 +459,12 @@ class OutputSaturation(OutputLaw):
 
 
 @register
-class OutputRange(OutputLaw):
+class OutputRange(_Range, OutputLaw):
     """Sensor with two limits."""
 
-    coefficients = (
-        Coefficient("low", "signal", explanation="least that it can show", default_start=None),
-        Coefficient("high", "signal", explanation="most that it can show", default_start=None),
-    )
     formula = "y -> min(max(y, low), high)"
     explanation = "The sensor {place} shows nothing below one limit and nothing above another one."
-    secant = True
     contains = MappingProxyType({"output_saturation": {}})
-
-    @staticmethod
-    def law(y, low, high):  # type: ignore[no-untyped-def]
-        """Formula."""
-        return min(max(y, low), high)
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """The ends of the record, and where noise upon it would have its limits."""
@@ -500,20 +500,12 @@ class OutputSmoothing(OutputLaw):
 
 
 @register
-class OutputPlay(OutputLaw):
+class OutputPlay(_ChannelPlay, OutputLaw):
     """Backlash before a sensor: inside the gap its reading does not move on."""
 
-    coefficients = (positive("gap", "signal", "play on either side", shapes=True),)
     formula = "r follows y with play of +- gap, y -> r"
     explanation = "The sensor {place} has play: it follows only a gap after the motion has turned."
     of_displacements = True
-
-    @staticmethod
-    def law(y, z_start, gap):  # type: ignore[no-untyped-def]
-        """Formula."""
-        # the reading stays within the gap of the signal
-        r = min(max(z_start, y - gap), y + gap)
-        return r, r
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Gaps in shares of the motion."""
@@ -539,14 +531,14 @@ class OutputRectification(OutputLaw):
     """Sensor that loses the sign."""
 
     coefficients = (positive("fraction", "1", "rectified share", upper=1.0),)
-    signal = "rectification"
-    formula = "y -> (1 - t) y + t |y|"
+    constants = ONE_SIDE
+    formula = "y -> (1 - t) y + t side |y|"
     explanation = "The sensor {place} loses the sign: it shows the size, in whole (1) or in part."
 
     @staticmethod
-    def law(y, fraction):  # type: ignore[no-untyped-def]
+    def law(y, fraction, side):  # type: ignore[no-untyped-def]
         """Formula."""
-        return (1.0 - fraction) * y + fraction * abs(y)
+        return (1.0 - fraction) * y + fraction * side * abs(y)
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """In whole, or in part."""

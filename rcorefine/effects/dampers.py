@@ -9,6 +9,9 @@ from typing import Any
 
 from .formula import PortLaw
 from .law import (
+    ONE_SIDE,
+    PORTS,
+    STORES,
     AbsorbedLaw,
     Assembly,
     Coefficient,
@@ -28,9 +31,10 @@ ROOT_WIDTH = 1e-3  # smoothing width of a root over the rms level, since a root 
 class SqrtFlow(PortLaw):
     """Orifice."""
 
-    where = frozenset(["first_order"])
+    where = STORES
+    constants = ONE_SIDE
     coefficients = (Coefficient("flow", "force/velocity^0.5", explanation="flow per root of the state"),)
-    formula = "f = t sqrt(max(x, 0))"
+    formula = "f = t side sqrt(max(side x, 0))"
     explanation = (
         "The outflow at {place} follows the square root of the level, as through an orifice (Torricelli)."
     )
@@ -39,34 +43,35 @@ class SqrtFlow(PortLaw):
     of_levels = True  # a level has a root, the difference of two temperatures has not
 
     @staticmethod
-    def law(v, flow, width):  # type: ignore[no-untyped-def]
+    def law(v, flow, side, width):  # type: ignore[no-untyped-def]
         """Formula."""
         # v / (v^2 + width^2)^(1/4): the root, smooth at zero
-        return flow * v / math.sqrt(math.sqrt(v * v + width * width)) if v > 0.0 else 0.0
+        return flow * v / math.sqrt(math.sqrt(v * v + width * width)) if side * v > 0.0 else 0.0
 
 
 @register
 class ThresholdFlow(PortLaw):
     """Overflow."""
 
-    where = frozenset(["first_order"])
+    where = STORES
+    constants = ONE_SIDE
     coefficients = (
-        Coefficient("flow", "force/velocity", explanation="flow per unit above the threshold"),
+        Coefficient("flow", "force/velocity", explanation="flow per unit beyond the threshold"),
         Coefficient(
             "threshold", "velocity", default_start=None, shapes=True, explanation="level at which it starts"
         ),
     )
-    formula = "f = t max(x - threshold, 0)"
+    formula = "f = t side max(side (x - threshold), 0)"
     explanation = "Beyond a certain level something spills over at {place}."
     contains = MappingProxyType({"damping": {"threshold": 0.0}})  # of a level, which is not negative
     domains = frozenset(["first_order", "hydraulic"])
     of_levels = True  # a level has a rim, the difference of two temperatures has not
 
     @staticmethod
-    def law(v, flow, threshold):  # type: ignore[no-untyped-def]
+    def law(v, flow, threshold, side):  # type: ignore[no-untyped-def]
         """Formula."""
-        # no flow below the threshold
-        return flow * max(0.0, v - threshold)
+        # no flow up to the threshold
+        return flow * side * max(0.0, side * (v - threshold))
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Rims that the level reaches."""
@@ -78,7 +83,7 @@ class ThresholdFlow(PortLaw):
 class CurvedLoss(PortLaw):
     """Loss that grows faster on one side of zero."""
 
-    where = frozenset(["first_order"])
+    where = STORES
     coefficients = (Coefficient("curvature", "force/velocity^2", explanation="force per squared state"),)
     formula = "f = t v^2"
     explanation = "The loss at {place} is curved: it grows faster on one side of zero than on the other."
@@ -95,7 +100,7 @@ class CurvedLoss(PortLaw):
 class ExponentialLoss(PortLaw):
     """Diode."""
 
-    where = frozenset(["first_order"])
+    where = STORES
     coefficients = (
         Coefficient("flow", "force", explanation="what flows on the side that blocks"),
         Coefficient(
@@ -130,7 +135,7 @@ class ExponentialLoss(PortLaw):
 class Radiation(PortLaw):
     """Heat that is radiated."""
 
-    where = frozenset(["first_order"])
+    where = STORES
     coefficients = (
         Coefficient("radiation", "force/velocity^4", explanation="emissivity times area times 5.67e-8"),
     )
@@ -154,7 +159,7 @@ class Radiation(PortLaw):
 class Damping(AbsorbedLaw):
     """Change of a damper, or of a loss in proportion."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     coefficients = (Coefficient("damping", "force/velocity", explanation="change of damping"),)
     formula = "f = t v"
     explanation = "The damping at {place} is larger than the model says (smaller, if negative)."
@@ -179,7 +184,7 @@ class Damping(AbsorbedLaw):
 class AsymmetricDamping(PortLaw):
     """Damper of two rates."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     coefficients = (
         Coefficient("damping_plus", "force/velocity", explanation="damping where v > 0"),
         Coefficient("damping_minus", "force/velocity", explanation="damping where v < 0"),
@@ -207,7 +212,7 @@ class AsymmetricDamping(PortLaw):
 class QuadraticDamping(PortLaw):
     """Drag."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     coefficients = (
         Coefficient("quadratic_damping", "force/velocity^2", explanation="force per squared velocity"),
     )
@@ -232,7 +237,7 @@ class QuadraticDamping(PortLaw):
 class CubicDamping(PortLaw):
     """Damper that grows with the cube."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     coefficients = (Coefficient("cubic_damping", "force/velocity^3", explanation="force per cubed velocity"),)
     formula = "f = t v^3"
     explanation = "The damping at {place} grows with the cube of the speed."
@@ -250,7 +255,7 @@ class CubicDamping(PortLaw):
 class PowerDamping(PortLaw):
     """Damper with an exponent of its own."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     coefficients = (
         Coefficient("damping", "force", explanation="force at unit speed"),
         positive("power", "1", "exponent of the speed", lower=0.3, upper=5.0, shapes=True),

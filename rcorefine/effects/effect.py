@@ -20,6 +20,7 @@ from .formula import PortLaw
 from .given import Custom
 from .law import KINDS, Law, instance_of
 
+_OTHER = " (other side)"  # behind the name of an effect with side = -1
 ARGUMENTS = ("kind", "place", "start", "fixed", "prior", "law", "name")
 
 
@@ -39,7 +40,8 @@ class Effect:
         the names here are the coefficients of the law.
     fixed : mapping of str to float, optional
         Coefficients that are held at a value, and constants of the kind (such as
-        the ``"width"`` over which the sign of a velocity is smoothed).
+        the ``"width"`` over which the sign of a velocity is smoothed, or the ``"side"`` on which a law
+        acts that acts on one side: 1, or -1 for the other one; `diagnose` tries both if none is given).
     prior : mapping of str to float, optional
         Prior standard deviation of coefficients, about their start value.
     law : callable or Table, optional
@@ -176,7 +178,10 @@ class Effect:
             return
         # constants are scales, and therefore positive
         scale = argument == "fixed" and key in self.spec.adjustable
-        if scale and (number < 0 or (number == 0 and key not in self.spec.from_zero)):
+        if scale and key == "side":
+            if abs(number) != 1.0:
+                raise ModelError(f"{where} must be 1 or -1, not {number:g}")
+        elif scale and (number < 0 or (number == 0 and key not in self.spec.from_zero)):
             raise ModelError(f"{where} must be positive, not {number}")
         # values within the bounds of the law
         lower, upper = self.bounds(key) if key in self.coefficients else (-np.inf, np.inf)
@@ -204,12 +209,24 @@ class Effect:
 
         The default uses the words of the place's domain.
         """
-        return self.name or f"{worded(self.spec.words[0], self._domain) or self.kind} at {self.place}"
+        words = worded(self.spec.words[0], self._domain) or self.kind
+        return self.name or f"{words} at {self.place}{self._side}"
 
     @property
     def key(self) -> str:
         """Kind and place, ``"coulomb_friction@link2"``."""
-        return f"{self.kind}@{self.place}"
+        return f"{self.kind}@{self.place}{self._side}"
+
+    @property
+    def _side(self) -> str:
+        return _OTHER * (self._fixed.get("side") == -1.0)
+
+    @property
+    def sides(self) -> list[Effect]:
+        """The effect, and the same on the other side if no side was given."""
+        if "side" in self._fixed or "side" not in self.spec.constants:
+            return [self]
+        return [self, self.replace(fixed={**self._fixed, "side": -1.0})]
 
     @property
     def coefficients(self) -> tuple[str, ...]:
@@ -410,10 +427,11 @@ def as_effects(values: Any, name: str) -> list[Effect]:
 
 def effect_named(text: str, name: str) -> Effect:
     """Return the effect of a name ``"kind@place"`` or ``"kind at place"``."""
-    kind, at, place = (part.strip() for part in text.partition("@" if "@" in text else " at "))
+    whole, other, _ = text.partition(_OTHER)
+    kind, at, place = (part.strip() for part in whole.partition("@" if "@" in text else " at "))
     if not (kind and at and place):
         raise ct.ControlArgument(f"{name} must hold Effect objects, or names as 'kind@place', not {text!r}")
-    return Effect(kind, place)
+    return Effect(kind, place, fixed={"side": -1.0} if other else None)
 
 
 _MADE: WeakSet[Callable[..., Any]] = WeakSet()  # functions of which this process has made an effect

@@ -272,26 +272,26 @@ class PortLaw(FormulaLaw):
 class InputLaw(FormulaLaw):
     """Change of an input before it acts: ``law(w, ...)``.
 
-    The formula may take ``w``, ``w_start`` and ``z_start`` (input and inner state at the start of the
-    step), ``step`` (its length [s]), ``held`` (1 where w is held from here to the end of the step, and the
-    value is to be the mean over it; 0 where w runs in a straight line and is reached at the end) and
-    the law's coefficients and constants.
+    The formula may take ``w`` (or ``s``), ``w_start`` and ``z_start`` (input and inner state at the start
+    of the step), ``step`` (its length [s]), ``held`` (1 where w is held from here to the end of the step,
+    and the value is to be the mean over it; 0 where w runs in a straight line and is reached at the end)
+    and the law's coefficients and constants.
     """
 
     where = frozenset({"input"})
     signals = MappingProxyType(
-        {"w": "d", "w_start": "d_start", "z_start": "z_start", "step": "width", "held": "v"}
+        {"s": "d", "w": "d", "w_start": "d_start", "z_start": "z_start", "step": "width", "held": "v"}
     )
 
 
 class OutputLaw(FormulaLaw):
     """Change of an output before it is recorded: ``law(y, ...)``.
 
-    The arguments mean the same as those of an `InputLaw`.
+    The arguments mean the same as those of an `InputLaw`; ``s`` is the signal of either.
     """
 
     where = frozenset({"output"})
-    signals = MappingProxyType({"y": "d", "y_start": "d_start", "z_start": "z_start"})
+    signals = MappingProxyType({"s": "d", "y": "d", "y_start": "d_start", "z_start": "z_start"})
 
     def later(self, course: CubicSpline, value: float) -> tuple[Array, Array]:
         """Return a signal behind an effect that `delays`.

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from .formula import PortLaw
-from .law import Coefficient, Seen, at_quantiles, positive, register, rms
+from .law import PORTS, Coefficient, Seen, at_quantiles, positive, register, rms
 
 # the smoothing width of sgn(v) is fixed, because a free one would only fit noise
 SIGN_WIDTH = 0.005  # width over the rms velocity
@@ -30,7 +30,7 @@ class _DryFriction(PortLaw):
 class CoulombFriction(_DryFriction):
     """Dry friction of one level."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     coefficients = (Coefficient("force", "force", explanation="friction force, whatever the speed"),)
     formula = "f = t sgn(v)"
     explanation = "Dry friction acts at {place}: a force of constant size that opposes the motion."
@@ -52,7 +52,7 @@ class CoulombFriction(_DryFriction):
 class SmoothFriction(PortLaw):
     """Friction that builds up over a range of speeds."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     coefficients = (
         Coefficient("force", "force", explanation="friction force at high speed"),
         positive(
@@ -92,7 +92,7 @@ class SmoothFriction(PortLaw):
 class AsymmetricFriction(_DryFriction):
     """Dry friction of two levels."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     of_speeds = True
     coefficients = (
         Coefficient("force_plus", "force", explanation="friction force where v > 0"),
@@ -126,7 +126,7 @@ class AsymmetricFriction(_DryFriction):
 class StribeckFriction(_DryFriction):
     """Dry friction that is higher at breakaway."""
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     of_speeds = True
     coefficients = (
         Coefficient("coulomb_force", "force", lower=0.0, explanation="friction force at high speed"),

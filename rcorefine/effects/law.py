@@ -120,6 +120,14 @@ def positive(name: str, unit_rule: str, explanation: str, *, lower: float = 0.0,
     return Coefficient(name, unit_rule, lower, default_start=None, explanation=explanation, **more)
 
 
+#: Places of a law: stores, or stores and joints.
+STORES = frozenset(["first_order"])
+PORTS = STORES | {"mechanical"}
+
+#: Constants of a law that acts on one side: where its signal is positive, or negative with side = -1.
+ONE_SIDE = MappingProxyType({"side": 1.0})
+
+
 class Law:
     """A law that can be missing from a model.
 
@@ -134,7 +142,8 @@ class Law:
         Numbers to estimate.
     constants : mapping
         Names of numbers that are never estimated, with their default; None is
-        chosen from the data. ``Effect(..., fixed=...)`` sets them: positive, those in `from_zero` zero too.
+        chosen from the data. ``Effect(..., fixed=...)`` sets them: positive, those in `from_zero` zero too;
+        ``side`` (`ONE_SIDE`) is 1 or -1.
     linear : bool
         Whether the refined model stays linear with constant coefficients.
     formula : str
@@ -219,7 +228,7 @@ class Law:
     signal : str
         What its coefficient multiplies, where the law is linear in it: ``"displacement"``,
         ``"velocity"``, ``"acceleration"``, ``"value"``, ``"constant"``, ``"rate"``; or what it takes from
-        a signal: ``"deadzone"``, ``"saturation"``, ``"rectification"``.
+        a signal: ``"deadzone"``, ``"saturation"``.
     """
 
     # name, places, coefficients

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from .formula import PortLaw
-from .law import Coefficient, register
+from .law import PORTS, Coefficient, register
 
 _LEAST = 0.02  # least share of the store at any state
 
@@ -65,7 +65,7 @@ class StateDependentStore(PortLaw):
     What fills it is all but the forces of other nonlinear effects.
     """
 
-    where = frozenset(["first_order", "mechanical"])
+    where = PORTS
     coefficients = (
         Coefficient("slope", "1/velocity", explanation="share by which the store grows per state"),
         Coefficient("curvature", "1/velocity^2", explanation="share by which it grows per squared state"),

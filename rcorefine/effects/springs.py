@@ -11,6 +11,7 @@ import numpy as np
 
 from .formula import PortLaw
 from .law import (
+    ONE_SIDE,
     AbsorbedLaw,
     Assembly,
     Coefficient,
@@ -97,9 +98,10 @@ class BilinearStiffness(PortLaw):
     """Spring with a kink at rest."""
 
     coefficients = (
-        Coefficient("bilinear_stiffness", "force/position", explanation="stiffness added where d > 0"),
+        Coefficient("bilinear_stiffness", "force/position", explanation="stiffness added on that side"),
     )
-    formula = "f = t max(d, 0)"
+    constants = ONE_SIDE
+    formula = "f = t side max(side d, 0)"
     explanation = (
         "The spring at {place} has another stiffness in one direction, like a crack that opens and closes."
     )
@@ -107,10 +109,10 @@ class BilinearStiffness(PortLaw):
     belongs_to = "stiffness"
 
     @staticmethod
-    def law(d, bilinear_stiffness):  # type: ignore[no-untyped-def]
+    def law(d, bilinear_stiffness, side):  # type: ignore[no-untyped-def]
         """Formula."""
         # added stiffness on one side, a breathing crack
-        return bilinear_stiffness * max(0.0, d)
+        return bilinear_stiffness * side * max(0.0, side * d)
 
 
 @register
@@ -166,10 +168,8 @@ class EndStop(PortLaw):
     def law(d, stiffness, position):  # type: ignore[no-untyped-def]
         """Formula."""
         # contact on the side of the sign of the position
-        beyond = d - position
-        if position < 0.0:
-            return stiffness * min(0.0, beyond)
-        return stiffness * max(0.0, beyond)
+        side = math.copysign(1.0, position)
+        return stiffness * side * max(0.0, side * (d - position))
 
     def starts(self, seen: Seen) -> Sequence[dict[str, float]]:
         """Places on either side that the motion passes now and then."""

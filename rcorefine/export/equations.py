@@ -74,7 +74,7 @@ class Equations:
 
 #: Signals that the formula of a law takes, by what they are called in the equations.
 _AT_PLACE = {"d": "d", "v": "v", "d_start": "d", "z_start": "z"}
-_AT_CHANNEL = dict.fromkeys(("w", "w_start", "y", "y_start"), "s")
+_AT_CHANNEL = dict.fromkeys("s w w_start y y_start".split(), "s")
 
 
 def equations_of(structure: Structure, theta: Array, remarks: Sequence[str]) -> Equations:

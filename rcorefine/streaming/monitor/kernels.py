@@ -25,7 +25,6 @@ CODES = {
     "constant": 103,  # 1
     "deadzone": 104,  # what a dead zone of half width p1 takes away
     "saturation": 105,  # what a limit p1 cuts off
-    "rectification": 106,  # |v| - v
     "change": 108,  # what a law makes of d beyond d itself
     "rate": 107,  # minus the rate of v
 }
@@ -89,8 +88,6 @@ def forces(X: Array, columns: Columns, n: int, rate: float, inner: Array, F: Arr
                 f = -min(max(v, -values[j, 1]), values[j, 1])
             elif code == 105:
                 f = min(max(v, -values[j, 1]), values[j, 1]) - v
-            elif code == 106:
-                f = abs(v) - v
             elif code == 107:
                 f = (v_last - v) * rate if v_last == v_last else 0.0
             else:
