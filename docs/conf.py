@@ -1,6 +1,7 @@
 """Sphinx: python -m sphinx -W docs docs/_build/html. Nothing is fetched, neither here nor by the pages."""
 
 import re
+import shutil
 import sys
 import zlib
 from pathlib import Path
@@ -13,7 +14,7 @@ from rcorefine.version import __version__  # noqa: E402
 project, author, version, release = "rcorefine", "rcorefine developers", __version__, __version__
 project_copyright = "rcorefine developers"
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "numpydoc",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
@@ -23,7 +24,6 @@ extensions = [
 html_math_renderer = "mathml"
 exclude_patterns = ["_build", "coursework/solutions"]
 templates_path = ["_templates"]
-source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 html_theme = "pydata_sphinx_theme"
 html_title = f"rcorefine {__version__}"
 html_static_path = ["_static"]
@@ -42,6 +42,10 @@ html_theme_options = {
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 4
+nb_execution_mode = "off"  # notebooks are shown as they were run
+nb_merge_streams = True
+nb_render_image_options = {"alt": "What this code draws"}
+linkcheck_ignore = [r"https?://"]  # -b linkcheck tests files; -W missing pages, anchors and names
 default_role = "py:obj"
 autosummary_generate = True
 autodoc_typehints = "none"
@@ -82,15 +86,18 @@ intersphinx_mapping = {
 
 def _pages(app):
     import gallery
-    import notebook_pages
 
     gallery.write(HERE / "gallery")
-    notebook_pages.write(HERE / "notebooks")
+    shown = HERE / "notebooks"
+    shutil.rmtree(shown, ignore_errors=True)
+    shown.mkdir()
+    for notebook in HERE.parent.glob("notebooks/*.ipynb"):
+        shutil.copy2(notebook, shown)  # with its date, by which Sphinx knows what to read again
 
 
 #: Links as they stand in the repository, and where they lead on the site; marks of the formatter.
 _MOVED = [
-    (r"\]\((?:\.\./)*notebooks/(\d\d_\w+)\.(?:py|ipynb)\)", r"](notebooks/\1.md)"),
+    (r"\]\((?:\.\./)*notebooks/(\d\d_\w+)\.(?:py|ipynb)\)", r"](notebooks/\1.ipynb)"),
     (r"\]\(((?:\.\./)*)\.\./README\.md", r"](\1readme.md"),
     (r"  # fmt: skip", ""),
 ]

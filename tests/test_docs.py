@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import runpy
 from pathlib import Path
 
 import pytest
@@ -88,17 +87,3 @@ def test_the_reference_lists_every_public_name():
 def test_pages_with_code_are_run():
     with_code = {page.name for page in DOCS.glob("*.md") if "\n```python\n" in page.read_text("utf-8")}
     assert with_code == set(RUN)
-
-
-def test_a_link_of_the_site_that_leads_nowhere_is_found(tmp_path):
-    """Of the built pages: file, anchor, address; what is right is no fault."""
-    check = runpy.run_path(str(DOCS / "check_links.py"))["faults"]
-    right = ["b.html", "b.html#there", "sub/", "#here", "https://a.org/x#y", "mailto:a@b.org"]
-    wrong = ["c.html", "b.html#here", "#there", "https:///x", "ftp://a.org/x"]
-    links = "".join(f'<a href="{link}">x</a>' for link in right + wrong)
-    (tmp_path / "a.html").write_text(f'<h1 id="here">a</h1>{links}<img src="no.png">')
-    (tmp_path / "b.html").write_text('<a name="there">b</a>')
-    (tmp_path / "sub").mkdir()
-    (tmp_path / "sub" / "index.html").write_text('<a href="../a.html#here">a</a>')
-    assert [line.split(": ")[1] for line in check(tmp_path)] == [*wrong, "no.png"]
-    assert check(tmp_path / "empty")
