@@ -103,7 +103,7 @@ _BEGUN = pytest.StashKey[float]()
 LONGEST = tuple(
     f"tests/test_{name}.py"
     for name in (
-        "monitor", "notebooks", "docs", "coursework", "localization", "ladder_steps", "diagnosis", "survey",
+        "monitor", "docs", "coursework", "localization", "ladder_steps", "diagnosis", "survey",
         "rco_default", "error_shares", "several_records", "parameters", "diagnosis_of_responses", "explorer",
         "improve",
     )
@@ -162,18 +162,26 @@ def _cpu() -> float:
     return sum(os.times()[:4])
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item) -> Iterator[object]:
-    item.stash[_BEGUN] = _cpu()
-    return (yield)
+class Meter:
+    """Seconds of CPU of each test, also of doctests and notebooks, for which no hook of this file runs."""
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[object]:
+        item.stash[_BEGUN] = _cpu()
+        return (yield)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(
+        self, item: pytest.Item, call: pytest.CallInfo[None]
+    ) -> Iterator[pytest.TestReport]:
+        report: pytest.TestReport = yield
+        if call.when == "teardown":
+            report.user_properties.append(("cpu", _cpu() - item.stash[_BEGUN]))
+        return report
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[pytest.TestReport]:
-    report: pytest.TestReport = yield
-    if call.when == "teardown":
-        report.user_properties.append(("cpu", _cpu() - item.stash[_BEGUN]))
-    return report
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(Meter())
 
 
 @pytest.fixture
