@@ -296,6 +296,7 @@ def check_target(
     title: str | None = None,
     code: str | None = None,
     overwrite: bool = False,
+    ours: str = REPORT,
 ) -> Path:
     """Absolute path of a report to be written; raises where that must not be.
 
@@ -307,6 +308,8 @@ def check_target(
         What it is to say, checked with it before the work begins.
     overwrite : bool
         Whether any file there may be replaced.
+    ours : str
+        What a file that may be replaced has in its first 2,000 bytes.
 
     Returns
     -------
@@ -337,7 +340,7 @@ def check_target(
     if target.is_file() and not overwrite:
         with target.open("rb") as file:
             head = file.read(2000)
-        if head and REPORT.encode() not in head:  # an empty file holds nothing to lose
+        if head and ours.encode() not in head:  # an empty file holds nothing to lose
             raise FileExistsError(
                 f"{target} exists and is no report of rcorefine; choose another name or say overwrite=True"
             )

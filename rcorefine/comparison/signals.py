@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import control as ct
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats
+from scipy import signal, stats
 
 from ..exceptions import DataError
 from ..systems.linear import Array
@@ -71,7 +70,7 @@ def is_rounding(residual: Array, outputs: Array) -> NDArray[np.bool_]:
     -------
     ndarray of shape (n_y,)
     """
-    return np.asarray(root_mean_square(residual) <= _ROUNDING * root_mean_square(outputs))
+    return root_mean_square(residual) <= _ROUNDING * root_mean_square(outputs)
 
 
 def root_mean_square(residual: ArrayLike) -> Array:
@@ -144,14 +143,11 @@ def correlogram(
     return Correlogram(steps.astype(float), _correlation(x, y, steps), np.full(steps.size, bound))
 
 
-def _correlation(x: Array, y: Array, lags: Sequence[int] | NDArray[np.int_]) -> Array:
+def _correlation(x: Array, y: Array, lags: NDArray[np.int_]) -> Array:
     """Correlation of y(k + lag) with x(k), means taken out, divided by N."""
     a, b = x - x.mean(), y - y.mean()
     scale = float(np.sqrt((a @ a) * (b @ b)))
-    n = a.size
-    if scale == 0.0:
-        return np.zeros(len(lags))
-    return np.array([a[: n - k] @ b[k:] if k >= 0 else a[-k:] @ b[: n + k] for k in lags]) / scale
+    return np.asarray(signal.correlate(b, a)[a.size - 1 + lags] / (scale or 1.0))
 
 
 class Decay(NamedTuple):

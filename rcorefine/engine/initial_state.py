@@ -15,25 +15,14 @@ from ..gauss_newton import Rows, gauss_newton
 from ..systems.discretization import exponential
 from ..systems.linear import Array
 from .engine import Engine
-from .observer import observer_gain
+from .observer import observer_gain, output_scales
 from .structure import Structure
 
 _RATIOS = (0.1, 0.01)  # observer gains on the way to the free run, high to low
 _NEAR = 1e-3  # relative decrease of the cost below which such a step ends, since it is only an initial guess
 _BRIEF = 0.63  # decay of a mode per sample that leaves a hundredth after ten samples
 _TELLS = 0.5  # error of the free run over the spread of the output up to which the model's modes count
-_ROUNDING, _NOTHING = 1e-12, 1e-100  # spread of an output that rests: relative, and of any unit
 _WIDE = 1000.0  # prior standard deviation of a brief mode over its largest motion
-
-
-def output_scales(outputs: Array) -> Array:
-    """Return one over the standard deviation of each output (n_y, N).
-
-    It is 1 for an output that does not move by more than rounding.
-    """
-    spread = outputs.std(axis=1)
-    moves = spread > np.maximum(_ROUNDING * np.abs(outputs).max(axis=1), _NOTHING)
-    return np.asarray(1.0 / np.where(moves, spread, 1.0))
 
 
 def brief_modes(engine: Engine) -> Array:

@@ -23,10 +23,10 @@ from ..results import Data
 from ..systems.linear import Array, LinearModel
 from .controlled import loop_gain, own_states
 from .engine import Engine
-from .initial_state import estimate_initial_state, output_scales
+from .initial_state import estimate_initial_state
 from .inputs import interpolate_band_limited, straight_lines
 from .linear import recursion, unit_responses
-from .observer import leading_gain
+from .observer import leading_gain, output_scales
 from .structure import Structure
 
 _TRUE = 16  # substeps of a sample where effects of known size act

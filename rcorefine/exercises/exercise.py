@@ -12,6 +12,7 @@ import hashlib
 import io
 import json
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from os import PathLike
@@ -23,10 +24,10 @@ import numpy as np
 
 from rcorefine import Effect, Measurement, PhysicalModel
 
-from ..arguments import as_choice, as_flag, as_number, as_path, as_text, as_whole
+from ..arguments import as_choice, as_flag, as_number, as_path, as_text, as_whole, printable
 from ..exceptions import DataError, ModelError
 from ..results import Reported, Result, Row
-from ..writing import damaged, read_archive, replacing
+from ..writing import check_target, damaged, read_archive, replacing
 from .hiding import LEVELS, TRAINING, Accepted, hide
 from .plants import PLANTS, record_of
 
@@ -452,7 +453,7 @@ def grade(
     NotADirectoryError
         If a folder does not exist.
     FileExistsError
-        If ``class.html`` is no report of rcorefine.
+        If ``class.html`` or ``class.csv`` is another file than `grade` writes; neither is then written.
 
     Examples
     --------
@@ -478,9 +479,10 @@ def grade(
             continue
         if exercise.ident not in known or exercise.has_answer:
             known[exercise.ident] = exercise
-    rows = [_graded(path, str(path.relative_to(at)), known) for path in sorted(at.rglob("*.json"))]
+    rows = [_graded(path, printable(str(path.relative_to(at))), known) for path in sorted(at.rglob("*.json"))]
     found = Grades(tuple(sorted(rows, key=lambda row: (row.student.casefold(), row.file))))
-    with replacing(at / "class.csv") as stream:
+    check_target(at / "class.html")
+    with replacing(check_target(at / "class.csv", ours=",".join(_COLUMNS))) as stream:
         stream.write(found.csv().encode())
     found.report(at / "class.html")
     return found
@@ -488,29 +490,26 @@ def grade(
 
 def _graded(path: Path, file: str, known: dict[str, Exercise]) -> Grade:
     try:
-        answer: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        student, ident = str(answer["student"]), str(answer["exercise"])
-        kind, place, value = str(answer["kind"]), str(answer["place"]), answer["coefficient"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        return Grade("", file, remark=f"no answer that hand_in() wrote: {error or type(error).__name__}")
-    text = f"{kind} at {place}" + (
-        "" if value is None else f": {value:g}" if _is_number(value) else f": {value}"
-    )
-    exercise = known.get(ident)
-    if exercise is None:
-        return Grade(student, file, answer=text, remark="belongs to none of the exercises")
-    try:
-        mark = exercise.check(kind, place, value)
-    except (ModelError, ct.ControlArgument) as error:
-        return Grade(student, file, exercise.plant, exercise.level, text, remark=str(error))
+        with damaged(path, "is no answer that hand_in() wrote"):
+            answer: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            student, ident, kind, place = (
+                printable(str(answer[name])) for name in ("student", "exercise", "kind", "place")
+            )
+            value = answer["coefficient"]
+            text = f"{kind} at {place}" + ("" if value is None else f": {printable(str(value))}")
+            exercise = known.get(ident)
+            if exercise is None:
+                return Grade(student, file, answer=text, remark="belongs to none of the exercises")
+            try:
+                mark = exercise.check(kind, place, value)
+            except (ModelError, ct.ControlArgument) as error:
+                return Grade(student, file, exercise.plant, exercise.level, text, remark=str(error))
+    except (DataError, OSError) as error:
+        return Grade("", file, remark=printable(str(error)))
     near = {None: "", True: "near enough", False: "off"}[mark.coefficient]
     return Grade(student, file, exercise.plant, exercise.level, text, mark.effect, near, mark.points)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
 def _as_text(value: Any) -> Any:
-    """A cell that no spreadsheet takes for a formula."""
-    return f"'{value}" if isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t")) else value
+    """A cell that no spreadsheet takes for a formula, also split at ';'."""
+    return re.sub(r"(^|;)(?=[=+@\t\r\n-])", r"\1'", value) if isinstance(value, str) else value

@@ -286,10 +286,12 @@ def force_responses(
 
     Inputs may be named instead of places; the added signals then have the hold of the inputs.
     """
-    structure = fitted.structure
+    structure, data = fitted.structure, fitted.problem.records[record]
+    if not forces:
+        return np.zeros((structure.n_outputs, data.n_samples, 0))
     # linearized along the motion
     A, C0 = fitted.linearized()
-    linear, data = structure.linear_model, fitted.problem.records[record]
+    linear = structure.linear_model
     n, n0 = structure.n_states, linear.n_states
     names = list(dict.fromkeys(name for name, _ in forces))
     places = {port.name for port in structure.model.ports}

@@ -272,9 +272,7 @@ def variants(part: CoefficientFilter) -> list[LinearModel]:
     values, directions = np.linalg.eigh(covariance / np.outer(scale, scale))
     # one standard deviation along each, in units of the coefficients
     steps = (directions * np.sqrt(np.maximum(values, 0.0))).T * scale
-    return [
-        setup.system(theta + _SHARE * step, memory.widths, "variant") for step in steps if step.any()
-    ]
+    return [setup.system(theta + _SHARE * step, memory.widths, "variant") for step in steps if step.any()]
 
 
 def response_deviation(center: LinearModel, around: Sequence[LinearModel], omega: Array) -> Array:

@@ -5,9 +5,12 @@ The damage runs in a process of its own, so that a crash of a reader is a failed
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import io
+import json
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -15,6 +18,7 @@ import sys
 import zipfile
 from pathlib import Path
 
+import control as ct
 import numpy as np
 import pytest
 import scipy.io
@@ -364,3 +368,71 @@ def test_values_of_the_wrong_kind_are_errors_of_ours(tmp_path):
             rco.exercises.load_exercise(tmp_path / "e.npz")
     with pytest.raises(rco.ModelError, match="more memory than there is"):
         rco.RCORefiner(rco.mass_spring_damper(1.0, 0.4, 100.0), dt=0.02, order=10**6)
+
+
+#: What a file may hold that nobody expects: by name, the bytes, or the fields of an answer that differ.
+HOSTILE = {
+    "deep lists": b"[" * 100_000,
+    "deep objects": b'{"a":' * 50_000,
+    "more digits than a float": {"coefficient": 10**400},
+    "more digits than an integer": b'{"coefficient": ' + b"9" * 6000 + b"}",
+    "half a character": {"student": "\ud800"},
+    "not a number": {"coefficient": float("nan")},
+    "infinite": {"coefficient": float("inf")},
+    "true": {"coefficient": True},
+    "a list for a number": {"coefficient": [0.1]},
+    "an object for a name": {"student": {"first": "Bob"}},
+    "null for a name": {"student": None},
+    "a formula": {"student": "=1+1;@SUM(A1)\r\n=2"},
+    "control characters": {"student": "Bob\x00\x1b[2J\u202e"},
+    "empty": b"",
+    "a mark of byte order": b"\xef\xbb\xbf{}",
+    "two bytes a character": "{}".encode("utf-16"),
+    "zero bytes": b"\x00" * 5000,
+    "not text": bytes(range(256)) * 20,
+}
+
+
+def hostile(name, answer):
+    """Bytes of a hostile file; where fields of an answer are given, of such an answer."""
+    content = HOSTILE[name]
+    return content if isinstance(content, bytes) else json.dumps(answer | content).encode()
+
+
+def test_no_answer_ends_the_grading_of_the_others(tmp_path):
+    exercise = rco.exercises.hidden_effect(3, "motor")
+    exercise.save(tmp_path / "ada.npz")
+    ada = exercise.hand_in(tmp_path / "ada.json", "Ada", "input_gain", "voltage", 0.1)
+    (alone,) = rco.exercises.grade(tmp_path).rows
+    for number, name in enumerate(HOSTILE):
+        (tmp_path / f"bob{number}.json").write_bytes(hostile(name, json.loads(ada.read_text())))
+    (tmp_path / "folder.json").mkdir()
+    found = rco.exercises.grade(tmp_path)
+    assert len(found.rows) == len(HOSTILE) + 2
+    assert [row for row in found.rows if row.file == "ada.json"] == [alone]
+    for line in csv.reader((tmp_path / "class.csv").read_text().splitlines()):
+        assert not any(re.match(r"[=+@-]", part) for cell in line for part in cell.split(";")), line
+
+
+def test_neither_file_of_a_class_replaces_one_of_the_user(tmp_path):
+    exercise = rco.exercises.hidden_effect(3, "motor")
+    exercise.save(tmp_path / "ada.npz")
+    for mine in ("class.csv", "class.html"):
+        (tmp_path / mine).write_text("mine")
+        with pytest.raises(FileExistsError, match=mine):
+            rco.exercises.grade(tmp_path)
+        assert (tmp_path / mine).read_text() == "mine"
+        (tmp_path / mine).unlink()
+        assert not list(tmp_path.glob("class.*"))
+    rco.exercises.grade(tmp_path)
+    rco.exercises.grade(tmp_path)  # its own files it may replace
+
+
+@pytest.mark.parametrize("suffix", [".toml", ".csv", ".npz", ".mat", ".h5", ".uff"])
+def test_hostile_models_and_records_are_refused_by_name(suffix, tmp_path):
+    for name in HOSTILE:
+        path = tmp_path / f"bob{suffix}"
+        path.write_bytes(hostile(name, {}))
+        for read in (rco.read_model, rco.read_record):
+            with pytest.raises((rco.RCOError, ct.ControlArgument, OSError), match="bob"):
+                read(path)
