@@ -25,8 +25,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from functools import cached_property
-from threading import Lock
+from threading import Lock, get_ident
 from typing import Any
 
 import numpy as np
@@ -100,13 +99,6 @@ def warn(message: str, category: type[RCOWarning]) -> None:
         warnings.warn(message, category, stacklevel=level)
 
 
-def optional(module: str) -> Any:
-    """Return a module, or None where it is not installed."""
-    with suppress(ImportError):
-        return importlib.import_module(module)
-    return None
-
-
 def needed(module: str, extra: str, what: str) -> Any:
     """A module that not everybody has.
 
@@ -150,24 +142,34 @@ class _OneThread:
     1.5 ms; to set and restore the number takes 16 us.
     """
 
-    lock, inside = Lock(), 0
-
-    @cached_property
-    def blas(self) -> Any:
-        found = optional("threadpoolctl")
-        return found and found.ThreadpoolController()
+    lock, inside, controller, limit = Lock(), list[int](), None, None
 
     def __enter__(self) -> None:
-        with self.lock:
-            self.inside += 1
-            if self.inside == 1 and self.blas:
-                self.limit = self.blas.limit(limits=1, user_api="blas")
+        with self.lock, suppress(ImportError):
+            self.inside.append(get_ident())
+            if len(self.inside) == 1:
+                if self.controller is None:
+                    from threadpoolctl import ThreadpoolController
+
+                    self.controller = ThreadpoolController()
+                self.limit = self.controller.limit(limits=1, user_api="blas")
 
     def __exit__(self, *_: object) -> None:
         with self.lock:
-            self.inside -= 1
-            if self.blas and not self.inside:
-                self.limit.restore_original_limits()
+            self.inside.remove(get_ident())
+            if self.limit and not self.inside:
+                self.limit = self.limit.restore_original_limits()
+
+    def in_child(self) -> None:
+        # other threads of the parent are none of the child's
+        self.lock.release()
+        self.inside = [get_ident(), *filter(get_ident().__eq__, self.inside)]
+        self.__exit__()
 
 
 ONE_THREAD = _OneThread()
+getattr(os, "register_at_fork", dict)(  # where there is fork
+    before=ONE_THREAD.lock.acquire,
+    after_in_parent=ONE_THREAD.lock.release,
+    after_in_child=ONE_THREAD.in_child,
+)

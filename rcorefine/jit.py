@@ -21,8 +21,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .exceptions import optional
-
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 #: Reordering of sums is allowed (that is what vectorizes them); NaN and Inf keep their
@@ -30,7 +28,12 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 FASTMATH = {"reassoc", "contract", "nsz", "arcp"}
 
 
-_NUMBA: Any = None if os.environ.get("RCOREFINE_NUMBA") == "0" else optional("numba")
+_NUMBA: Any = None  # absent, or switched off
+if os.environ.get("RCOREFINE_NUMBA", "1") != "0":
+    with suppress(ImportError):
+        import numba
+
+        _NUMBA = numba
 
 #: Whether kernels are compiled in this process.
 NUMBA: bool = _NUMBA is not None

@@ -145,18 +145,16 @@ class Progress:
         self._refresh()
 
     def _counted(self, results: Iterable[Result], count: int, what: str) -> Iterator[Result]:
-        self._announced += count
-        self._bar.set_description(what, refresh=False)
-        self._refresh()
         left = count
-        try:
-            for result in results:
-                yield result
-                left -= 1
-                self._bar.update()
-        finally:
-            self._announced -= left
-            self._refresh()
+        with self.counted(count, what) as done:
+            try:
+                for result in results:
+                    yield result
+                    left -= 1
+                    done(1)
+            finally:
+                self._announced -= left
+                self._refresh()
 
     def _refresh(self) -> None:
         expected = self._ahead * self._announced / max(self._rounds, 1)

@@ -20,7 +20,7 @@ from ..systems.linear import Array, LinearModel
 from ..writing import damaged
 from .history import CoefficientHistory, History, Summary
 from .joint import assembled
-from .locks import alone, own_lock
+from .locks import Locked
 from .persistence import check_like, read_file, write_file
 from .rcmr.setup import Scales
 from .samples import (
@@ -36,7 +36,7 @@ from .samples import (
 _CHUNK = 1000
 
 
-class RCORefiner(Result):
+class RCORefiner(Locked, Result):
     """Refine a linear model on measured samples, in two concurrent stages.
 
     Stage 1 adapts a *dynamic* correction until the output follows; its state estimates the true one.
@@ -153,8 +153,6 @@ class RCORefiner(Result):
         self.disturbance = disturbance
         self.forgetting = forgetting
         self.substeps = substeps
-        # one thread at a time: a monitor or a display may read while samples come in
-        self._lock = own_lock()
         # discretize the initial model at the sampling time of the stream
         self._sampled = sampled_model(model, dt)
         self._keep = as_flag(history, "history")
@@ -163,7 +161,6 @@ class RCORefiner(Result):
         self._estimator = assembled(given | {"history": history}, self._sampled)
         self.reset()
 
-    @alone
     def update(self, w: ArrayLike, y: ArrayLike) -> None:
         """Learn from one sample or from a block of samples.
 
@@ -203,7 +200,6 @@ class RCORefiner(Result):
         # last input, for a gap at the start of the next call
         self._latest = block.inputs[-1].copy()
 
-    @alone
     def run(self, data: Measurement, progress: bool | None = None) -> RCORefiner:
         """Learn from a whole record.
 
@@ -251,7 +247,6 @@ class RCORefiner(Result):
         self._estimator.finish()
         return self
 
-    @alone
     def predict(self, w: ArrayLike) -> Array:
         """Simulate the refined model on further inputs, without learning.
 
@@ -281,13 +276,11 @@ class RCORefiner(Result):
         outputs = self._estimator.filter.predict(np.ascontiguousarray(inputs.T))
         return outputs[0] if model.n_outputs == 1 else outputs
 
-    @alone
     def reset(self) -> None:
         """Forget all samples; settings stay."""
         self._estimator.reset()
         self._latest = np.zeros(self._sampled.initial.n_inputs)
 
-    @alone
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write settings and memory to one file, to go on from later.
 
@@ -368,13 +361,11 @@ class RCORefiner(Result):
         return refiner
 
     @property
-    @alone
     def n_samples(self) -> int:
         """Number of samples taken."""
         return self._estimator.n_samples
 
     @property
-    @alone
     def n_learned(self) -> int:
         """Number of samples learned from.
 
@@ -383,7 +374,6 @@ class RCORefiner(Result):
         return self._estimator.n_learned
 
     @property
-    @alone
     def form(self) -> str:
         """Form of the static correction that the refined model has.
 
@@ -394,7 +384,6 @@ class RCORefiner(Result):
         return self._estimator.static.form
 
     @property
-    @alone
     def scores(self) -> dict[str, float]:
         """Simulation fit of each form in percent, in a model comparison.
 
@@ -403,7 +392,6 @@ class RCORefiner(Result):
         return self._estimator.static.scores
 
     @property
-    @alone
     def scales(self) -> Scales | None:
         """Sizes that stage 1 divides signals by.
 
@@ -412,7 +400,6 @@ class RCORefiner(Result):
         return self._estimator.scales
 
     @property
-    @alone
     def theta(self) -> Array:
         """Dynamic coefficients in the units of the signals.
 
@@ -423,7 +410,6 @@ class RCORefiner(Result):
         return self._estimator.dynamic_theta()
 
     @property
-    @alone
     def static_theta(self) -> Array:
         """Static coefficients, as changes of the initial model.
 
@@ -436,7 +422,6 @@ class RCORefiner(Result):
         return self._estimator.static_theta()
 
     @property
-    @alone
     def standard_deviations(self) -> Array:
         """Standard deviations of `static_theta`.
 
@@ -448,7 +433,6 @@ class RCORefiner(Result):
         return self._estimator.standard_deviations()
 
     @property
-    @alone
     def parameters(self) -> tuple[Any, ...]:
         """One row per coefficient, with its standard deviation at this sample.
 
@@ -463,7 +447,6 @@ class RCORefiner(Result):
         return self._estimator.filter.parameters
 
     @property
-    @alone
     def covariance(self) -> Array:
         """Covariance of the coefficients at this sample, shape (p, p).
 
@@ -475,14 +458,12 @@ class RCORefiner(Result):
         return self._estimator.filter.covariance
 
     @property
-    @alone
     def discrete_system(self) -> ct.StateSpace:
         """Refined model in discrete time, labels kept."""
         # the filter estimates in discrete time, or discretizes with the hold of the stream
         return self._estimator.static.discrete_system(self._name()).to_statespace()
 
     @property
-    @alone
     def system(self) -> ct.StateSpace:
         """Refined model: continuous if the initial one is, labels kept.
 
@@ -496,7 +477,6 @@ class RCORefiner(Result):
         return self._estimator.system(self._name()).to_statespace()
 
     @property
-    @alone
     def history(self) -> History | CoefficientHistory:
         """Course of both stages, sample by sample.
 
@@ -514,7 +494,6 @@ class RCORefiner(Result):
         found: History | CoefficientHistory = self._estimator.history()
         return found
 
-    @alone
     @picture
     def bode_plot(
         self, measured: Any = None, omega: ArrayLike | None = None, **options: Unpack[Options]
@@ -545,7 +524,6 @@ class RCORefiner(Result):
         """
         return show(self, "bode_plot", measured, omega, **options)
 
-    @alone
     def _summary(self) -> Summary:
         """Cells and sentences of `str(refiner)`."""
         return self._estimator.summary()
@@ -554,17 +532,13 @@ class RCORefiner(Result):
         return f"{self._sampled.initial.name}$refined"
 
     def __getstate__(self) -> dict[str, Any]:
-        # a lock belongs to its process
-        state = dict(self.__dict__)
-        del state["_lock"]
+        state = super().__getstate__()
         if isinstance(self.model, ct.StateSpace):  # holds a lambda, which cannot be pickled
             state["model"] = self._sampled.initial
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        # a new lock, and python-control's model again
-        self._lock = own_lock()
         if isinstance(self.model, LinearModel):
             self.model = self.model.to_statespace()
 

@@ -20,7 +20,7 @@ from ...results import Options, Result, picture, show
 from ...systems.discretization import check_sampling_time
 from ...systems.linear import Array
 from ...writing import damaged
-from ..locks import alone, own_lock
+from ..locks import Locked
 from ..persistence import read_file, write_file
 from ..samples import Block, as_missing, as_size, checked_block
 from .bank import checked_candidates
@@ -33,7 +33,7 @@ _LEAST = 2000  # samples of the learning phase
 _LEARN_PERIODS = 20
 
 
-class Monitor(Result):
+class Monitor(Locked, Result):
     """Monitor that detects changes of a structure on a stream.
 
     It reports whether the structure is still healthy, and if not, what has changed since when.
@@ -188,10 +188,8 @@ class Monitor(Result):
         self._block = max(1, self._period // 8)
         self.windows = windows
         self._lengths = window_lengths(windows, self._period)
-        self._lock = own_lock()
         self.reset()
 
-    @alone
     def reset(self) -> None:
         """Forget all samples; the learning phase starts again."""
         # observer and noise are learned again
@@ -206,7 +204,6 @@ class Monitor(Result):
         self._course = Course(len(self.candidates) + 4, max(1, self._period // 2))
 
     # ------------------------------------------------------------------ samples in
-    @alone
     @np.errstate(divide="warn", over="warn", invalid="warn", under="ignore")  # NumPy's defaults
     def update(self, w: ArrayLike, y: ArrayLike) -> None:
         """Take one sample or a block.
@@ -281,7 +278,6 @@ class Monitor(Result):
         watch_block(self._stream, self._watch, self._course, block, position)
         self._count = self._stream.n_samples
 
-    @alone
     def run(self, data: Measurement) -> Monitor:
         """Take a whole record, channels matched by name.
 
@@ -307,7 +303,6 @@ class Monitor(Result):
 
     # ------------------------------------------------------------------ files
 
-    @alone
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the monitor to a file.
 
