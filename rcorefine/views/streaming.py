@@ -183,7 +183,7 @@ def plot_stages(history: History, frame: Frame) -> ct.ControlPlot:
     """
     names = frame.labels(["stage 1", "stage 2"])
     stages = [(1, history.z2, names[1]), (0, history.z1, names[0])]
-    static = history.theta2.reshape(-1, history.timepts.size)
+    static = np.concatenate(history.theta2)
     with frame.axes([1.6] * (len(history.z1) + 2), 1) as (axes, lines):
         _draw_history(axes, lines, history, stages, "simulated")
         _draw_coefficients(axes[-2, 0], lines[-2], history.timepts, static, _coefficients(history))

@@ -25,7 +25,6 @@ from ...engine.initial_state import estimate_initial_state
 from ...engine.observer import observer_gain
 from ...engine.structure import Structure
 from ...exceptions import DataError
-from ...gauss_newton import Rows
 from ...inference.covariance import standard_deviations
 from ...inference.parameters import nominal_size
 from ...inference.whitening import autoregression, innovations
@@ -45,6 +44,7 @@ _STANDS_OUT = 8.0  # standard deviations at which a sample is left out of what i
 _MOST_ALONE = 0.05  # share of samples up to which they are outliers, not the noise itself
 _PASSES = 3
 _REWEIGHTED = 4  # passes of the noise law
+_ROUNDING = 1e-9  # least noise over the rms of the signal: arithmetic leaves 1e-12, alike over long windows
 _CONSTANT = 1e-3  # share of the noise that is there whatever the signal
 
 
@@ -250,13 +250,14 @@ def _evaluate_observer(
     square = run.outputs**2
     power = square.mean(axis=1)
     local = lfilter([1.0 / period], [1.0, 1.0 / period - 1.0], square - power[:, None], axis=1)
-    rows, orders, white, noise, scale = [], [], [], [], []
+    rows, orders, white, noise, scale, rounding = [], [], [], [], [], []
     cost = 0.0
     for i in range(e.shape[0]):
         # whiten each output by an autoregressive model
-        a, _ = autoregression(e[i], known=flags[i])
+        floor = max(float(np.mean((_ROUNDING * y[i]) ** 2)), 1e-300)
+        louder = float(np.mean(e[i] ** 2)) > floor  # rounding has no color to learn
+        a = autoregression(e[i], known=flags[i])[0] if louder else np.ones(1)
         w = innovations(a, e[i])
-        floor = max(1e-24 * spread[i] ** 2, 1e-300)  # a record without noise
         sizes = np.column_stack([np.ones(w.size), square[i], power[i] + local[i]])
         # variance of the whitened innovations as a function of the signal
         law = noise_law(w[flags[i]], sizes[flags[i]], floor)
@@ -269,6 +270,7 @@ def _evaluate_observer(
         rows.append(a[1:])
         orders.append(a.size - 1)
         white.append(w / scale[-1])
+        rounding.append(float(np.mean(floor / variance)))
         mean[i] += np.average(e[i][flags[i]], weights=1.0 / variance[flags[i]])
     q = max(orders)
     filters = np.zeros((len(rows), q))
@@ -277,7 +279,7 @@ def _evaluate_observer(
     # covariance between outputs; mix = inverse of its Cholesky factor
     w = np.array(white)[:, q:]
     covariance = np.atleast_2d(np.cov(w, bias=True))
-    diagonal = np.maximum(np.diag(covariance), 1e-24)
+    diagonal = np.maximum(np.diag(covariance), rounding)
     covariance = covariance + np.diag(diagonal - np.diag(covariance) + 1e-12 * diagonal)
     lower = np.linalg.cholesky(covariance)
     # minus log-likelihood of the correlation
@@ -532,17 +534,15 @@ def _fit_parameters(
         structure, before.theta, before.substeps, shifted, use, healthy.x0, healthy.gain, healthy.filters,
         healthy.mix, scale, True,
     )  # fmt: skip
-    # square root of the prior's precision, by eigenvectors of the correlation
+    # square root of the prior's covariance, by eigenvectors of the correlation
     size = standard_deviations(before.covariance)
     values, vectors = np.linalg.eigh(before.covariance / np.outer(size, size))
-    precision = (vectors / np.sqrt(np.maximum(values, _LEAST))).T / size
-    centre = before.theta[loose]
+    root = size[:, None] * vectors * np.sqrt(np.maximum(values, _LEAST))
     bounds = np.array([(structure.parameters[i].lower, structure.parameters[i].upper) for i in loose])
     # the prior adds rows to the least-squares problem
     found = descend(
-        segment, engine, start, loose, bounds[:, 0], bounds[:, 1],
-        prior=lambda point: Rows(precision @ (point - centre), precision),
-    )  # fmt: skip
+        segment, engine, start, loose, bounds[:, 0], bounds[:, 1], prior=(before.theta[loose], root)
+    )
     if not np.isfinite(found.cost):
         return before
     theta = start.copy()

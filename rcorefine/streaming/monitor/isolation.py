@@ -6,7 +6,7 @@ Each candidate is fitted to the samples since the change, in the observer's form
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -267,11 +267,12 @@ def descend(
     *,
     effect: Effect | None = None,
     worst: float = math.inf,
-    prior: Callable[[Array], Rows] | None = None,
+    prior: tuple[Array, Array] | None = None,
 ) -> CandidateFit:
     """Fit the coefficients `loose` of `theta` from one starting value.
 
-    The initial state is fitted as well if it is free.
+    The initial state is fitted as well if it is free. `prior` holds the mean of the coefficients and a root
+    of their covariance.
     """
     start, x0, y = theta[loose], segment.x0, segment.data.outputs
     p, n = start.size, x0.size
@@ -297,9 +298,10 @@ def descend(
         J = segment.whiten(run.sensitivity[:, :, columns]) if slopes else np.zeros((r.size, 0))
         # prior as additional rows
         if prior is not None:
-            also = prior(point[:p])
-            wide = np.pad(also.jacobian, ((0, 0), (0, J.shape[1] - also.jacobian.shape[1])))
-            r, J = np.concatenate([r, also.residual]), np.vstack([J, wide])
+            centre, root = prior
+            precision = np.linalg.inv(root)
+            r = np.concatenate([r, precision @ (point[:p] - centre)])
+            J = np.vstack([J, np.pad(precision, ((0, 0), (0, free)))])
         sound = np.abs(r).max(initial=0.0) < _HUGE and np.abs(J).max(initial=0.0) < _HUGE
         # no more points than unknowns tell nothing
         return Rows(r, J) if sound and r.size > point.size else nothing
@@ -325,6 +327,12 @@ def descend(
     # covariance (J'J)^-1 of coefficients and initial state
     point, cost, (r, J, _) = run.point, 2.0 * run.cost, run.rows
     whole = covariance(J.T @ J) if math.isfinite(cost) else np.diag(np.full(p + free, np.inf))
+    if prior is not None and math.isfinite(cost):
+        # in units of the prior every singular value is 1 or more: none is lost beside strong data
+        felt, state = J[:, :p] @ prior[1], J[:, p:]
+        _, sizes, ways = np.linalg.svd(felt - state @ np.linalg.lstsq(state, felt, rcond=None)[0], False)
+        wide = prior[1] @ (ways.T / sizes)
+        whole[:p, :p] = wide @ wide.T
     doubt = whole[p:, p:] if free else np.zeros((n, n))
     points = r.size if math.isfinite(cost) else 0
     return CandidateFit(effect, point[:p], whole[:p, :p], cost, points, x0 + point[p:] if free else x0, doubt)

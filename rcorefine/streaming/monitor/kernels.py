@@ -194,9 +194,9 @@ def _windows(state: State, keep: Array, level: Array, gain: Array, info: Array) 
         state.N[m] = keep[m] * state.N[m] + gain
         state.V[m] = keep[m] * keep[m] * state.V[m] + info
         wide = (state.V[m] + state.doubt[m]) * state.factor[m]
-        square = state.N[m] * state.N[m] / np.where(wide > 1e-200, wide, np.inf)
-        if square.size:
-            top = max(top, square.max() / level[m])
+        square = state.N[m] * state.N[m] / np.where(wide <= 1e-200, np.inf, wide)
+        if square.size and top == top and not square.max() <= top * level[m]:  # NaN stays
+            top = square.max() / level[m]
     return top
 
 

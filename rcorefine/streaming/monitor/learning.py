@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import control as ct
@@ -208,10 +208,32 @@ def learned(monitor: Monitor, block: Block) -> tuple[Stream, Adequacy]:
     numbers, healthy = settled(given, phase)
     bank = build_bank(numbers, monitor.candidates, data, monitor.hold, healthy.gain)
     stream = stream_of(monitor, numbers.structure, numbers.theta, healthy, bank)
+    stream = replace(stream, bank=replace(bank, root=_root_as_seen(stream, block)), memory={})
     # the same samples run through the windows, which calibrates the statistics
     watch_block(stream, monitor._watch, monitor._course, block)
     before, after = (explained(at, phase, healthy.gain) for at in (given, numbers))
     return stream, adequacy_of(stream, given, numbers, monitor.tolerance, (before, after), monitor.dt)
+
+
+def _root_as_seen(stream: Stream, block: Block) -> Array:
+    """Return the root of the covariance of the numbers, as their columns see them.
+
+    Columns approximate: beside little noise they react to a change that the model does not feel at all, such
+    as the same factor on all masses and springs. No direction is left less certain than they find it.
+    """
+    bank = stream.bank
+    probe = replace(
+        stream,
+        bank=replace(bank, watched=bank.size),
+        windows=replace(stream.windows, keep=np.ones(1), levels=np.ones(1)),
+        memory={},
+    )
+    while probe.n_samples < len(block.inputs):
+        rest = block.part(probe.n_samples, len(block.inputs))
+        probe.advance(rest.inputs, rest.outputs, rest.use, rest.known, stop=False)
+    # R' S R with the sum S of the products of sensitivities: at most 1 for the posterior R R'
+    values, vectors = np.linalg.eigh(bank.root.T @ probe.memory["shared"][0, bank.numbers])
+    return np.asarray(bank.root @ (vectors / np.sqrt(np.maximum(values, 1.0))))
 
 
 def stream_of(monitor: Monitor, structure: Structure, theta: Array, healthy: Healthy, bank: Bank) -> Stream:

@@ -20,7 +20,7 @@ from ...engine.march import MarchResult, MarchState, march
 from ...engine.setting import setting
 from ...engine.simulation import structure_of
 from ...engine.structure import Structure
-from ...exceptions import DivergenceError, ModelError
+from ...exceptions import DataError, DivergenceError, ModelError
 from ...models.operating_point import check_stream_hold, refuse_discrete
 from ...systems.linear import Array
 from ..samples import Flags, Integers
@@ -246,6 +246,12 @@ class Stream:
             h.pace, h.mix, np.linalg.norm(np.linalg.inv(h.mix), axis=1), w.keep, w.levels**2, w.fading,
             bank.numbers, bank.root, w.block, max(4 * w.fading, 1 / _CROWDED),  # four periods
         )  # fmt: skip
+        bad = [name for name, part in self._fixed._asdict().items() if not np.isfinite(part).all()]
+        if bad:
+            raise DataError(
+                f"the learning phase gave {bad[0]} that are not finite; check model, units and channels with "
+                "compare(), then learn from another stretch"
+            )
         self._gaps()
         # a loaded stream brings its memory
         if self.memory:
@@ -346,6 +352,11 @@ class Stream:
         state_of = kernels.State(*(mem[name] for name in kernels.State._fields))
         samples = Y - after[1], after[1], use, calm, F
         done = int(kernels.scores(samples, self._fixed, state_of, stop, scale, ratio))
+        if np.isnan(ratio[:done]).any():
+            sample = first + int(np.argmax(np.isnan(ratio)))
+            raise DivergenceError(
+                f"the statistic at sample {sample} is not a number; check the samples before it, then reset()"
+            )
         left_out = bool((use[:done] == kernels.ALONE).any())
         marks, use = use[:done], (use[:done] == 1).astype(np.uint8)
         if done < len(W) or left_out:  # the observer stops at the same sample, and does not follow it
@@ -494,7 +505,7 @@ class Stream:
         mem = self.memory
         # variance of N under no change, widened by doubt and calibration
         wide = (mem["V"] + mem["doubt"]) * mem["factor"]
-        return np.where(wide > 1e-200, wide, np.inf)
+        return np.where(wide <= 1e-200, np.inf, wide)
 
     @property
     def oldest(self) -> int:
