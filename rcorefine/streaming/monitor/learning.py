@@ -216,7 +216,7 @@ def learned(monitor: Monitor, block: Block) -> tuple[Stream, Adequacy]:
 
 
 def _root_as_seen(stream: Stream, block: Block) -> Array:
-    """Return the root of the covariance of the numbers, as their columns see them.
+    """Return a root of the covariance of the numbers that fits their columns.
 
     Columns approximate: beside little noise they react to a change that the model does not feel at all, such
     as the same factor on all masses and springs. No direction is left less certain than they find it.
