@@ -23,7 +23,7 @@ from rcorefine import Effect, Measurement, ports, refine
 from rcorefine.effects.law import KINDS
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.structure import Structure
-from rcorefine.views.tables import text_table
+from rcorefine.views.tables import TextTable
 
 SAMPLES, FINE, NOISE = 2000, 32, 0.01
 M1, M2, C1, K1, K2 = 1.0, 0.7, 0.3, 40.0, 25.0
@@ -217,7 +217,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         f"All: {hits}/{total} within 3 sd ({100 * low:.1f}-{100 * high:.1f} %), rms z {overall:.2f}.",
     )
     headers = ("effect", "place", "within 3 sd", "interval [%]", "rms z", "time [s]")
-    sys.stdout.write(text_table(headers, rows, title=f"{options.seeds} records per case", notes=notes) + "\n")
+    table = TextTable(headers, rows, title=f"{options.seeds} records per case", notes=notes)
+    sys.stdout.write(table.text() + "\n")
     demands = (
         ("coefficient within 3 standard deviations in >= 95 % of all runs", hits >= 0.95 * total),
         ("error bar right within a factor of 1.25 over all cases", 0.8 <= overall <= 1.25),

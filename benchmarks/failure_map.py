@@ -23,7 +23,7 @@ from scipy.signal import butter, chirp, lfilter
 from scipy.stats import beta
 
 import rcorefine as rco
-from rcorefine.views.tables import text_table
+from rcorefine.views.tables import TextTable
 
 Array = np.ndarray
 DT, SAMPLES, NOISE, STEPS = 0.02, 3000, 0.02, 20
@@ -441,14 +441,14 @@ def main(arguments: list[str] | None = None) -> int:
         )
         print(f"{name}: {hits}/{count}", file=sys.stderr)
     print(
-        text_table(
+        TextTable(
             ["planted", "seeds", "right [%]", "95 % interval", "time [s]"],
             rows,
             title=f"Top row of the failure map names dimension and region; {100 * NOISE:g} % noise",
             notes=[
                 "Without a defect: the map is empty. Demanded: at least 95 %. time: of one compare with map."
             ],
-        )
+        ).text()
     )
     return 0 if met else 1
 

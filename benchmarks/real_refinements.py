@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 import rcorefine as rco
-from rcorefine.views.tables import number, text_table
+from rcorefine.views.tables import TextTable, number
 
 TRAINING = 0.7
 
@@ -46,7 +46,7 @@ class Outcome:
         return all(met for _, met in self.demands)
 
     def __str__(self) -> str:
-        table = text_table(self.headers, self.rows, title=self.title, notes=self.notes)
+        table = TextTable(self.headers, self.rows, title=self.title, notes=self.notes).text()
         verdicts = [f"{'met    ' if met else 'NOT MET'}  {demand}" for demand, met in self.demands]
         return "\n".join([table, *verdicts])
 

@@ -37,6 +37,11 @@ if os.environ.get("RCOREFINE_NUMBA", "1") != "0":
 
 #: Whether kernels are compiled in this process.
 NUMBA: bool = _NUMBA is not None
+if NUMBA:
+    from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]
+    from numba import types
+    from numba.core import imputils
+    from numba.extending import intrinsic
 
 
 def compiled(function: _Function, *, inline: bool = False, lanes: bool = False) -> _Function:
@@ -203,10 +208,6 @@ def _call_at() -> Any:
 
     Its arguments are ``(address, 4 floats, row, float, row, int, row)``.
     """
-    from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]
-    from numba import types
-    from numba.extending import intrinsic
-
     real, whole, pointer = types.float64, types.int64, types.uintp
     number, size = ir.DoubleType(), ir.IntType(64)
     row = number.as_pointer()
@@ -232,9 +233,6 @@ call_at: Any = None if _NUMBA is None else _call_at()
 
 def _number_at() -> Any:
     """Intrinsic that reads a number of an array: ``(address, index)``."""
-    from llvmlite import ir
-    from numba import types
-    from numba.extending import intrinsic
 
     def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         row = builder.inttoptr(given[0], ir.DoubleType().as_pointer())
@@ -246,11 +244,9 @@ def _number_at() -> Any:
     return intrinsic(read)
 
 
-def _plain_number_at(address: int, index: int) -> float:
-    return ctypes.c_double.from_address(address + 8 * index).value
-
-
-number_at: Any = _plain_number_at if _NUMBA is None else _number_at()
+number_at: Any = (
+    _number_at() if NUMBA else lambda address, index: ctypes.c_double.from_address(address + 8 * index).value
+)
 
 
 def by_address(
@@ -276,10 +272,6 @@ def by_address(
     """
     if _NUMBA is None:
         return lambda address, *given: kernel(*given), lambda: 0
-    from numba import types
-    from numba.core import imputils
-    from numba.extending import intrinsic
-
     kinds, whole = tuple(_NUMBA.typeof(given) for given in example()), types.int64
 
     def lower(context: Any, builder: Any, signature: Any, given: Any) -> Any:
@@ -308,7 +300,6 @@ def by_address(
 
 def _entries_by_list() -> None:
     """Teach numba ``x[[0, 2]]``, as users pick states in what a model shows."""
-    types = _NUMBA.types
 
     def picked(x, index):  # type: ignore[no-untyped-def]
         if not (isinstance(x, types.Array) and x.ndim == 1 and isinstance(index, types.List)):
@@ -350,7 +341,6 @@ def address_of(function: Callable[..., None], cache: bool) -> tuple[int, Any]:
     """
     assert _NUMBA is not None
     function.__globals__["carray"] = _NUMBA.carray
-    types = _NUMBA.types
     real, row = types.float64, types.CPointer(types.float64)
     signature = types.void(real, real, real, real, row, real, row, types.int64, row)
     try:

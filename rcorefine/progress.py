@@ -5,10 +5,12 @@ The number of steps becomes known on the way.
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from time import monotonic
 from types import TracebackType
 from typing import Any, TypeVar
@@ -16,8 +18,13 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from .arguments import as_flag, as_mapper
+from .jit import NUMBA
 
 _DELAY = 1.0  # s of work before a bar appears unasked
+_SLOW = (
+    "rcorefine: numba is not used, so models run in plain Python: a diagnosis takes minutes, not seconds. "
+    "Install the extra fast: pip install 'rcorefine[fast]'"
+)
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -35,15 +42,16 @@ class Progress:
     ----------
     show : bool or None
         Whether to draw a bar on standard error. None: in a terminal or a notebook, after a second, unless the
-        environment variable RCOREFINE_PROGRESS is 0.
+        environment variable RCOREFINE_PROGRESS is 0. Unless it is False, one line names the extra "fast"
+        where numba is missing.
     executor : concurrent.futures.Executor or dask.distributed.Client, optional
         Where `map` runs; in this process by default.
     """
 
     def __init__(self, show: bool | None = False, executor: Any = None) -> None:
         self._map: Callable[..., Iterable[Any]] = as_mapper(executor)
-        self._delay = _DELAY if show is None else 0.0
         shown = _is_watched() if show is None else as_flag(show, "progress")
+        self._delay = _DELAY if show is None else 0.0 if shown else math.inf
         self._bar = tqdm(
             total=0,
             unit="step",
@@ -157,10 +165,17 @@ class Progress:
                 self._refresh()
 
     def _refresh(self) -> None:
-        expected = self._ahead * self._announced / max(self._rounds, 1)
-        self._bar.total = self._announced + round(expected)
-        if not self._bar.disable and monotonic() - self._begun >= self._delay:
+        self._bar.total = self._announced + round(self._ahead * self._announced / max(self._rounds, 1))
+        if monotonic() - self._begun >= self._delay:
+            _say_why_slow()
             self._bar.refresh()
+
+
+@cache
+def _say_why_slow() -> None:
+    """Say once per process that numba is missing, where progress may be said."""
+    if not NUMBA and sys.stderr is not None and os.environ.get("RCOREFINE_PROGRESS") != "0":
+        tqdm.write(_SLOW, sys.stderr)
 
 
 def _is_watched() -> bool:

@@ -101,9 +101,8 @@ class Result(Data):
             cls.__repr__ = Result.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
-        first = next((line for line in str(self).splitlines() if line.strip()), "")
-        kind = type(self).__name__
-        return f"<{first.strip()}>" if first.startswith(kind) else f"<{kind}: {first.strip()}>"
+        first, kind = str(self).strip().partition("\n")[0].rstrip(), type(self).__name__
+        return f"<{first}>" if first.startswith(kind) else f"<{kind}: {first}>"
 
     def __str__(self) -> str:
         return "\n".join(map(printable, views().as_text(self).split("\n")))
@@ -123,12 +122,6 @@ class Result(Data):
         """
         sentences, fine = views().content(self).answer()
         return list(sentences), bool(fine)
-
-
-class Reported(Result):
-    """A result that writes a report."""
-
-    __slots__ = ()
 
     def report(
         self,
@@ -194,7 +187,7 @@ class ReportedModel(Result):
         path : str or path
             File to write; an older report there is replaced.
         data : Measurement, optional
-            Record to show the models beside; the result keeps none.
+            Record to show the models beside; default the first that was fitted.
         title : str, optional
             Heading.
         code : str, optional
@@ -236,7 +229,7 @@ class Options(Look, total=False):
     label: str | Sequence[str] | None
 
 
-OPTIONS = ("ax", "label", "title", "legend_loc", "rcParams", "show_legend")
+OPTIONS = ("ax", "label", *Look.__annotations__)
 
 _TEXTS = {
     "title": "str, optional\n    Title of the figure.",

@@ -33,7 +33,16 @@ from rcorefine.streaming.coefficients.setup import CoefficientFilter
 from rcorefine.systems import to_discrete
 from rcorefine.systems.linear import LinearModel
 from rcorefine.systems.response import bode_error
+from rcorefine.views.bode import bode
+from rcorefine.views.figures import Frame
 from rcorefine.views.page import Page, write_page
+from rcorefine.views.tables import TextTable
+
+
+def bode_comparison(systems, measured=None, omega=None, **options):
+    """Bode plot of systems in a frame of these options."""
+    return bode(systems, measured, omega, Frame(**options))
+
 
 __all__ = [
     "KINDS",
@@ -43,6 +52,7 @@ __all__ = [
     "Data",
     "Engine",
     "FormulaLaw",
+    "Frame",
     "Hypothesis",
     "LinearModel",
     "Page",
@@ -53,10 +63,12 @@ __all__ = [
     "Search",
     "Start",
     "Structure",
+    "TextTable",
     "Whitener",
     "answer",
     "as_physical",
     "base_fit",
+    "bode_comparison",
     "bode_error",
     "candidate_columns",
     "estimated_motion",

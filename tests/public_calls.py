@@ -995,6 +995,9 @@ CALLS: dict[str, Call] = {
         work="rcorefine.diagnosis.confirm._alone",
     ),
     "Confirmation.plot": _plot(confirmation),
+    "Check.plot": _plot(checked),
+    "Refinement.plot": _plot(refinement, data=is_nothing),
+    "RCORefiner.plot": _plot(taught, measured=is_nothing, omega=is_numbers),
     "Confirmation.sentences": Call(_method(confirmation, "sentences"), dict),
     "localize_damage": Call(
         lambda: rco.localize_damage,
@@ -1181,6 +1184,7 @@ RESULTS: dict[str, Callable[[], Any]] = {
     "Port": lambda: model().ports[0],
 }
 _ANSWERING = [name for name in RESULTS if hasattr(getattr(rco, name), "answer")]
+CALLS |= {f"{name}.report": _report(RESULTS[name]) for name in _ANSWERING if f"{name}.report" not in CALLS}
 CALLS |= {
     f"{name}.{what}": Call(_method(owner, what), dict)
     for name, owner in RESULTS.items()

@@ -224,7 +224,7 @@ def test_words_and_picture(made):
     assert made.chosen.name in made._repr_html_()
     plot = made.plot(title="What next?")
     assert isinstance(plot, ct.ControlPlot)
-    assert plot.axes[0, 0].get_title() == "What next?"
+    assert plot.figure.get_suptitle() == "What next?"
     again = made.plot(ax=plot.axes[0, 0], legend_loc="lower left", label="P")
     assert again.legend is not None
     assert made.plot(show_legend=False).legend is None

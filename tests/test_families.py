@@ -168,7 +168,7 @@ def test_a_special_case_is_fitted_from_the_general_law(rng, general, simple):
     effects = [rco.Effect(kind, "link1") for kind in (general, simple)]
     options = {"free": (), "tolerance": 0.0, "offset": False, "noise": None, "horizon": None}
     case = Case(base_fit(model, [data], **options), [data], effects, options, 0.01, Progress())
-    search = Search(case, alone=False)
+    search = Search(case)
     search.empty(frozenset())
     fitted = search.fitted.problem
     begin = Start([{n: float(v) for n, v in start.items()}], *fitted.unpack(search.fitted.point))

@@ -6,7 +6,7 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from inner import Engine, Structure
+from inner import Engine, Frame, Structure
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -338,7 +338,7 @@ def test_a_coarse_grid_neither_passes_over_the_peak_nor_leaves_its_branch(amplit
 def test_picture_and_table_show_one_peak():
     """Default grid of the picture, coarse grid of the table; harmonics add a percent at most here."""
     held, levels = with_effect("cubic_stiffness", [60.0]), [0.5, 4.0]
-    curves = level_bode(held, levels).lines[0, 0]
+    curves = level_bode(held, levels, None, None, Frame()).lines[0, 0]
     drawn = [np.nanmax(np.abs(line.get_ydata())) for line in curves if "sine" in line.get_label()]
     rows = str(rco.frequency_response_at(held, np.linspace(5, 20, 31), levels)).splitlines()[3:5]
     printed = [float(row.split()[3]) for row in rows]
@@ -492,7 +492,7 @@ def test_level_bode_keywords(refined):
     with pytest.raises(rco.DataError, match="levels is empty"):
         better.bode_plot(omega=omega, levels=[])
     with pytest.raises(ct.ControlArgument, match="measured must be"):
-        level_bode(better, [1.0], measured=[1, 2], omega=omega)
+        level_bode(better, [1.0], [1, 2], omega, Frame())
 
 
 @pytest.mark.parametrize("kind", ["coulomb_friction", "clearance", "stribeck_friction", "hysteresis"])

@@ -12,6 +12,7 @@ from hidden.generator import Law, held_motion
 from inner import Progress
 
 import rcorefine as rco
+from rcorefine import progress
 
 LAWS = [rco.Effect(kind, "link1") for kind in ("stiffness", "damping", "cubic_stiffness")]
 
@@ -101,6 +102,31 @@ def test_a_bar_appears_unasked_where_somebody_watches_and_waits(monkeypatch, str
         for _ in bar.over(range(3), "work"):
             pass
     assert ("work" in stream.getvalue()) == shown
+
+
+@pytest.mark.parametrize(
+    ("show", "setting", "compiled", "lines"),
+    [
+        (None, "", False, 1),
+        (True, "", False, 1),
+        (False, "", False, 0),
+        (None, "0", False, 0),
+        (True, "", True, 0),
+    ],
+)
+def test_without_numba_one_line_names_the_extra(monkeypatch, show, setting, compiled, lines):
+    """In a log as in a terminal, once per process; no warning, which -W error would make an error."""
+    stream = io.StringIO()
+    monkeypatch.setattr("sys.stderr", stream)
+    monkeypatch.setenv("RCOREFINE_PROGRESS", setting)
+    monkeypatch.setattr("rcorefine.progress._DELAY", 0.0)
+    monkeypatch.setattr("rcorefine.progress.NUMBA", compiled)
+    progress._say_why_slow.cache_clear()
+    for _ in range(2):
+        with Progress(show) as bar, bar.step("work"):
+            pass
+    progress._say_why_slow.cache_clear()
+    assert stream.getvalue().count("rcorefine[fast]") == lines
 
 
 def test_a_short_call_draws_no_bar(monkeypatch):

@@ -6,10 +6,10 @@ import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from inner import LinearModel
+from inner import LinearModel, TextTable, bode_comparison
 
 import rcorefine as rco
-from rcorefine import Measurement, compare, physical, refine, views
+from rcorefine import Measurement, compare, physical, refine
 from rcorefine.systems.response import as_sampled
 
 DT = 0.1
@@ -36,9 +36,9 @@ def record(system, n=2000, noise=0.02, hold="zoh", **options):
 
 def test_text_table_is_never_wider_than_asked():
     rows = [["a very long name " * 8, "Q" * 80, "123.4", "-0.000123"]]
-    table = views.text_table(
+    table = TextTable(
         ["model", "output", "fit", "RMSE"], rows, title="T " * 60, notes=["note " * 40], left=2
-    )
+    ).text()
     assert max(len(line) for line in table.splitlines()) <= 80
     assert "-0.000123" in table
     assert (table.count("very"), table.count("Q")) == (8, 80)  # nothing is cut
@@ -47,21 +47,21 @@ def test_text_table_is_never_wider_than_asked():
 def test_text_that_stands_in_every_row_is_told_once_before_names_are_cut(monkeypatch):
     names = ["a name of twenty-four letters", "another of some more letters"]
     rows = [[name, "resistor_voltage", "V", "1.25"] for name in names]
-    wide = views.text_table(["model", "output", "unit", "fit"], rows, left=3)
+    wide = TextTable(["model", "output", "unit", "fit"], rows, left=3).text()
     monkeypatch.setattr("rcorefine.views.tables.WIDTH", 50)
-    lines = views.text_table(["model", "output", "unit", "fit"], rows, title="two", left=3).splitlines()
+    lines = TextTable(["model", "output", "unit", "fit"], rows, title="two", left=3).text().splitlines()
     assert lines[:2] == ["two", "output: resistor_voltage, unit: V"]
     assert [line.split("  ")[0] for line in lines[4:]] == names
     assert "output:" not in wide
 
 
 def test_text_table_columns_line_up():
-    lines = views.text_table(["m", "fit"], [["a", "1.0"], ["long", "100.0"]]).splitlines()
+    lines = TextTable(["m", "fit"], [["a", "1.0"], ["long", "100.0"]]).text().splitlines()
     assert lines == ["m       fit", "----  -----", "a       1.0", "long  100.0"]
 
 
 def test_html_table_escapes_everything():
-    table = views.html_table(["<h>"], [["<script>alert('x')</script>"]], title="<t>", notes=["<n> & more"])
+    table = TextTable(["<h>"], [["<script>alert('x')</script>"]], "<t>", ["<n> & more"]).html()
     assert "<script>" not in table
     for raw in ("<h>", "<t>", "<n>"):
         assert raw not in table
@@ -107,9 +107,7 @@ def test_as_sampled_is_exact_for_both_holds():
 
 
 def test_bode_of_systems_alone_has_two_rows_and_the_right_values():
-    cplt = views.bode_comparison(
-        [("initial", resonant(0.05)), ("refined", resonant(0.2))], omega=[1.0, 3.0, 20.0]
-    )
+    cplt = bode_comparison([("initial", resonant(0.05)), ("refined", resonant(0.2))], omega=[1.0, 3.0, 20.0])
     assert isinstance(cplt, ct.ControlPlot)
     assert cplt.axes.shape == (2, 1)
     line = cplt.lines[0, 0][0]
@@ -123,7 +121,7 @@ def test_bode_of_systems_alone_has_two_rows_and_the_right_values():
 
 def test_bode_with_a_record_has_dots_band_and_error_row():
     data = record(resonant())
-    cplt = views.bode_comparison([("wrong", resonant(0.3)), ("true", resonant())], data)
+    cplt = bode_comparison([("wrong", resonant(0.3)), ("true", resonant())], data)
     assert cplt.axes.shape == (3, 1)
     magnitude, phase, error = cplt.axes[:, 0]
     dots = cplt.lines[0, 0][-1]
@@ -142,7 +140,7 @@ def test_bode_with_a_record_has_dots_band_and_error_row():
 
 def test_phase_stays_within_180_and_lines_break_where_it_wraps():
     third = lag() * resonant() * lag()
-    cplt = views.bode_comparison([("third", ct.ss(third))], record(ct.ss(third), noise=0.1))
+    cplt = bode_comparison([("third", ct.ss(third))], record(ct.ss(third), noise=0.1))
     for line in cplt.lines[1, 0]:
         angle = line.get_ydata()
         assert np.nanmax(np.abs(angle)) <= 180
@@ -153,7 +151,7 @@ def test_phase_stays_within_180_and_lines_break_where_it_wraps():
 
 
 def test_line_styles_tell_curves_apart_without_color():
-    cplt = views.bode_comparison([(f"m{i}", resonant(0.01 * (i + 1))) for i in range(6)])
+    cplt = bode_comparison([(f"m{i}", resonant(0.01 * (i + 1))) for i in range(6)])
     styles = {(str(line.get_linestyle()), str(line._dash_pattern)) for line in cplt.lines[0, 0]}
     assert len(styles) == 6
     assert cplt.figure.get_figwidth() == 7
@@ -161,21 +159,21 @@ def test_line_styles_tell_curves_apart_without_color():
 
 def test_bode_mimo_layout_and_sizes():
     two = ct.ss(-np.eye(2), np.eye(2), [[1.0, 0.2], [0.1, 1.0], [1, 1]], np.zeros((3, 2)))
-    assert views.bode_comparison([("a", two)]).axes.shape == (6, 2)
+    assert bode_comparison([("a", two)]).axes.shape == (6, 2)
     with pytest.raises(ct.ControlDimension, match="'b' has 1 outputs and 1 inputs"):
-        views.bode_comparison([("a", two), ("b", lag())])
+        bode_comparison([("a", two), ("b", lag())])
     with pytest.raises(ValueError, match="nothing to draw"):
-        views.bode_comparison([])
+        bode_comparison([])
     with pytest.raises(ct.ControlArgument, match="FrequencyResponseData"):
-        views.bode_comparison([("a", ct.frd([1.0, 0.5], [1.0, 2.0]))])
+        bode_comparison([("a", ct.frd([1.0, 0.5], [1.0, 2.0]))])
     with pytest.raises(TypeError):
-        views.bode_comparison([("a", two)], colour="red")
+        bode_comparison([("a", two)], colour="red")
 
 
 def test_bode_follows_python_controls_units():
     data = record(resonant())
     with ct.defaults({"freqplot.dB": True, "freqplot.Hz": True, "freqplot.deg": False}):
-        cplt = views.bode_comparison([("m", resonant())], data, omega=[1.0, 2.0])
+        cplt = bode_comparison([("m", resonant())], data, omega=[1.0, 2.0])
     np.testing.assert_allclose(cplt.lines[0, 0][0].get_xdata(), np.array([1.0, 2.0]) / 2 / np.pi)
     expected = 20 * np.log10(np.abs(resonant().sample(DT)(np.exp(1j * np.array([1, 2]) * DT))))
     np.testing.assert_allclose(cplt.lines[0, 0][0].get_ydata(), expected, rtol=1e-8)
@@ -186,29 +184,29 @@ def test_bode_follows_python_controls_units():
 
 def test_python_control_can_draw_on_top():
     data = record(resonant())
-    cplt = views.bode_comparison([("m", resonant())], data)
+    cplt = bode_comparison([("m", resonant())], data)
     count = len(cplt.axes[0, 0].lines)
     ct.bode_plot(resonant(0.5).sample(DT, name="more"), ax=cplt.axes[:2], label="more")
     assert len(cplt.axes[0, 0].lines) > count
     measured = data.frequency_response().frd
     ct.bode_plot(measured, ax=cplt.axes[:2], marker=".", linestyle="none", label="again")
     below = ct.bode_plot(resonant())
-    assert views.bode_comparison([("m", resonant())], ax=below.axes).figure is below.figure
+    assert bode_comparison([("m", resonant())], ax=below.axes).figure is below.figure
 
 
 def test_a_plain_frd_serves_as_measured_response():
     omega = np.geomspace(0.3, 30, 60)
     analog = ct.frd(resonant()(1j * omega), omega, name="analyzer")
-    cplt = views.bode_comparison([("true", resonant()), ("wrong", resonant(0.3))], analog)
+    cplt = bode_comparison([("true", resonant()), ("wrong", resonant(0.3))], analog)
     assert np.max(cplt.lines[2, 0][0].get_ydata()) < 1e-9
     assert "analyzer" in [t.get_text() for t in cplt.legend.get_texts()]
     sampled = record(resonant()).frequency_response().frd
-    views.bode_comparison([("true", resonant())], sampled)
+    bode_comparison([("true", resonant())], sampled)
     response = rco.FrequencyResponse.from_frd(sampled)
     assert "not known" in str(response)
     response.plot()
     with pytest.raises(ct.ControlArgument, match="TransferFunction"):
-        views.bode_comparison([("true", resonant())], ct.tf(1, [1, 1]))
+        bode_comparison([("true", resonant())], ct.tf(1, [1, 1]))
     with pytest.raises(ValueError, match="not positive"):
         rco.FrequencyResponse.from_frd(ct.frd([1.0, 1.0], [0.0, 1.0]))
 
@@ -219,10 +217,10 @@ def test_static_and_integrating_and_unstable_models_draw():
         ct.ss([[0.0]], [[1.0]], [[1.0]], 0),
         ct.ss([[1.0]], [[1.0]], [[1.0]], 0),
     ]
-    views.bode_comparison([(f"m{i}", m) for i, m in enumerate(models)])
-    views.bode_comparison([(f"m{i}", m) for i, m in enumerate(models)], record(lag()))
-    views.bode_comparison([("d", ct.ss([[0.0]], [[1.0]], [[1.0]], 0, DT))], record(lag()))
-    views.bode_comparison([], record(lag()))
+    bode_comparison([(f"m{i}", m) for i, m in enumerate(models)])
+    bode_comparison([(f"m{i}", m) for i, m in enumerate(models)], record(lag()))
+    bode_comparison([("d", ct.ss([[0.0]], [[1.0]], [[1.0]], 0, DT))], record(lag()))
+    bode_comparison([], record(lag()))
 
 
 # ---------------------------------------------------------------------- keywords

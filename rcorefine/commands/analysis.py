@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import re
 import sys
-import textwrap
 import threading
 from argparse import ArgumentTypeError, Namespace
 from collections.abc import Sequence
@@ -87,11 +86,7 @@ def analyze_models(
     # what is printed and drawn, where that is not the result's own
     sentences, fine = result.answer()
     text, draw = str(result), getattr(result, "plot", None)
-    if function is rco.check:
-        title = [f"{row.status.upper()}: {row.sentence}" for row in result.looks[:3]] or ["No problem found"]
-        lines = [line for sentence in title for line in textwrap.wrap(sentence, 80)]
-        draw = partial(record.plot, title="\n".join(lines))
-    elif function is rco.refine:
+    if function is rco.refine:
         draw = partial(result.bode_plot, shown)
     elif function is rco.improve:
         text += f"\n{result.refinement}"

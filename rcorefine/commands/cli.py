@@ -135,9 +135,9 @@ _COMMANDS = {
     "check": _Command(
         "inspect data and model before anything else",
         public="rcorefine:check",
-        without="effects report overwrite",
+        without="effects",
         keys=" (a sentence for each row that is not ok), record, rows (status, what, where, figure, "
-        "sentence), detectable (effect, coefficient, smallest, unit).",
+        "sentence), detectable (effect, coefficient, smallest, unit), report.",
     ),
     "compare": _Command(
         "how well one or several models explain a record, and where they fail",
@@ -178,10 +178,9 @@ _COMMANDS = {
     "localize": _Command(
         "which link of a structure has lost or gained stiffness or damping",
         public="rcorefine:localize_damage",
-        without="report overwrite",
         keys=" (what has changed), record, name, "
         "rows (name, kind, place, nominal, unit, change, std, percent, percent_std, p_value, limit, "
-        "limit_percent, named, ...), and the other fields of the result. The exit code is 1 where a place "
+        "limit_percent, named, ...), the other fields of the result, report. The exit code is 1 where a place "
         "has changed.",
     ),
     "bode": _Command(

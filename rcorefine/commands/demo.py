@@ -171,7 +171,7 @@ def _draw(
     compare(models, stretch).plot(ax=axes)
     left.suptitle("One effect missing: held-out record, both models, residuals")
     right.suptitle("Two changes at once: error after each step")
-    improvement.plot(ax=right.subplots(), title="")
+    improvement.plot(ax=right.subplots())
     pictures = {
         "overview.png": (overview, 100),
         "map.png": (before.plot("map").figure, 100),

@@ -14,14 +14,14 @@ from ..data.frequency_response import FrequencyResponse
 from ..data.response_record import ResponseRecord, as_responses
 from ..engine.amplitude_response import ResponseEngine
 from ..engine.simulation import structure_of
-from ..results import Options, Reported, Result, picture, show
+from ..results import Options, Result, picture, show
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response
 from .signals import fit_percent
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrequencyComparison(Reported):
+class FrequencyComparison(Result):
     """Models beside a measured frequency response.
 
     Arrays have a leading axis over the models where `compare` was given a

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arguments import as_whole, shown
 from ..data.measurement import Measurement
-from ..results import Options, Reported, picture, show
+from ..results import Options, Result, picture, show
 from ..systems.linear import Array, LinearModel
 from .failure_map.frequency import LineLevels, line_levels
 from .failure_map.record import Places
@@ -25,7 +25,7 @@ KINDS = ("time", "bode", "residual", "horizon", "map", "decay")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison(Reported):
+class Comparison(Result):
     """Models beside the record that they were simulated on.
 
     Arrays have a leading axis over the models where `compare` was given a

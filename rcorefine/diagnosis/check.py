@@ -126,11 +126,10 @@ def check(
         rows += _idle_rows(model, data)
     rows += _information_rows(shown, as_physical(model), record) if shown else []
     if information and record.n_samples < record.shortest:
-        count, least = record.n_samples, record.shortest
-        said = f"A record of {count} samples is too short to test for effects; {least} are needed."
+        said = f"{record.n_samples} samples are too few to test for effects; {record.shortest} are needed."
         rows.append(CheckRow(LOOK, "information", "", f"{record.n_samples} samples", said))
     rows += [_against(effect, found) for effect, found in own]
-    return Check(tuple(rows), shown)
+    return Check(tuple(rows), data, shown)
 
 
 def looks(model: Any, records: Sequence[Measurement], horizon: float | None) -> tuple[CheckRow, ...]:
@@ -157,7 +156,7 @@ def looks(model: Any, records: Sequence[Measurement], horizon: float | None) -> 
             for row in _looked_over(model, data, horizon)[1] if data.n_samples >= _SHORTEST else ():
                 where, sentence = f"{row.where}, {about}".removeprefix(", "), f"{about}: {row.sentence}"
                 rows.append(row if len(records) == 1 else replace(row, where=where, sentence=sentence))
-    return Check(tuple(rows)).looks
+    return Check(tuple(rows), records[0]).looks
 
 
 class _Beside(NamedTuple):

@@ -8,7 +8,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Unpack
 
+import control as ct
 import numpy as np
 from scipy import stats
 
@@ -19,7 +21,7 @@ from ..data.records import clipped, coarse_noise, resolution
 from ..effects.effect import Effect
 from ..inference.whitening import Whitener, autoregression, innovations
 from ..models.controller import JoinedController, answer, unrecorded
-from ..results import Result, Row
+from ..results import Options, Result, Row, picture, show
 from ..systems.linear import Array, LinearModel
 
 _MOST, _LONG = 4, 150  # rows that are named above another result; letters of the first one there
@@ -105,12 +107,15 @@ class Check(Result):
     ----------
     rows : tuple of CheckRow
         All that was looked at.
+    data : Measurement
+        Record.
     detectable : tuple of Detectable
         Smallest coefficient of each effect and parameter that this record would show with 95 %
         probability, the model being otherwise right.
     """
 
     rows: tuple[CheckRow, ...]
+    data: Measurement
     detectable: tuple[Detectable, ...] = ()
 
     @property
@@ -122,6 +127,23 @@ class Check(Result):
     def stops(self) -> bool:
         """Return whether something must be corrected first."""
         return any(row.status == STOP for row in self.rows)
+
+    @picture
+    def plot(self, **options: Unpack[Options]) -> ct.ControlPlot:
+        """Record with its first remarks; signals that they name in color.
+
+        Parameters
+        ----------
+        ax : array of Axes, optional
+            Axes to draw in, one per output and input.
+        label : str, optional
+            Label of the record.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        return show(self, "plot", **options)
 
 
 _SAME = 1.0 - 1e-9  # correlation from which two signals are one
@@ -154,8 +176,8 @@ def signal_rows(data: Measurement) -> Iterator[CheckRow]:
             f"{label} never changes, so the record contains no information about it.",
         )  # fmt: skip
     if not still:
-        count = len(inputs) + len(outputs)
-        yield CheckRow(OK, "motion", "", f"{count} signals move", "Every signal changes over the record.")
+        moving = f"{len(inputs) + len(outputs)} signals move"
+        yield CheckRow(OK, "motion", "", moving, "Every signal changes over the record.")
     yield from _repeated([(label, row) for label, row in (*inputs, *outputs) if label not in still])
     for signals, rows in ((outputs, _output_rows), (inputs, _input_rows)):
         for label, row in signals:
@@ -372,12 +394,12 @@ def feedback_rows(compared: Comparison) -> Iterator[CheckRow]:
                     "reaches both. Noise then enters the inputs, and simulations may be biased.",
                 )  # fmt: skip
                 return
+    figure, said = "not tested", f"Inputs that rest, repeat or have under {10 * _LAGS} samples cannot "
+    said += "show a controller."
     if tested:
+        figure = "no sign"
         said = "No sign of a controller in this record: no input was found to depend on past outputs."
-        yield CheckRow(OK, "closed loop", "", "no sign", said)
-    else:
-        said = f"Inputs that rest, repeat or have under {10 * _LAGS} samples cannot show a controller."
-        yield CheckRow(OK, "closed loop", "", "not tested", said)
+    yield CheckRow(OK, "closed loop", "", figure, said)
 
 
 def _white(row: Array) -> Array:

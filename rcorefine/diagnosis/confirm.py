@@ -148,8 +148,7 @@ def confirm(
     what = _what(rows, scales_with)
     verdict, p_value, message = _concluded(what, estimates, significance, matters)
     names, units = tuple(row.name for row in rows), tuple(row.unit for row in rows)
-    found = tuple(estimates)
-    return Confirmation(verdict, p_value, names, units, found, significance, message, conditions)
+    return Confirmation(verdict, p_value, names, units, tuple(estimates), significance, message, conditions)
 
 
 def _concluded(

@@ -30,7 +30,7 @@ from .held_out import HeldOutPath, case_of_part, exchanged, loose, mean_log
 from .hypothesis import Trial
 from .noise import in_percent
 from .open_law import open_force
-from .result import Improvement
+from .result import Improvement, asked_effects
 from .search import Search
 
 _ALONG = 1.0 - 1e-9  # cosine of two force vectors that are one
@@ -305,8 +305,7 @@ class _Improver:
         with self.case.progress.step("free forces"):
             free, _ = open_force(search)
         law = None if free is None else free.law
-        own = [e.place for e, role in zip(last.effects, last.roles, strict=True) if role == "effect"]
-        if law is None or law.effect.place in own:
+        if law is None or law.effect.place in [effect.place for effect in asked_effects(last)]:
             return ""
         # fit a table at that place; keep it if the held-out error falls
         try:

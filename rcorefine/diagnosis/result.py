@@ -17,7 +17,7 @@ from ..inference.f_tests import FTest
 from ..inference.levels import levels
 from ..inference.parameters import EstimatedParameter
 from ..inference.refinement import Refinement
-from ..results import Look, Options, Reported, ReportedModel, Row, picture, show, with_error
+from ..results import Look, Options, ReportedModel, Result, Row, picture, show, with_error
 from ..systems.linear import Array
 from .check_rows import CheckRow, Detectable
 from .noise import ErrorShare
@@ -99,7 +99,7 @@ class RankedEffect(Row):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Diagnosis(Reported):
+class Diagnosis(Result):
     """Which physical effect is missing, and how sure that is.
 
     Attributes
@@ -236,13 +236,10 @@ class Diagnosis(Reported):
         """
         # a table exists only where no candidate explains the record
         if self.open_law is None:
+            reason = "no table of a force over position and velocity, or of a channel, reduces the error"
             if self.verdict != "unexplained":
-                raise ModelError(
-                    f"the verdict is {self.verdict!r}: no unknown force; refine() takes what was found"
-                )
-            raise ModelError(
-                "no table of a force over position and velocity, or of a channel, reduces the error"
-            )
+                reason = f"the verdict is {self.verdict!r}: no unknown force; refine() takes what was found"
+            raise ModelError(reason)
         return self.open_law.effect
 
     @property
@@ -290,8 +287,7 @@ class Diagnosis(Reported):
         if self.best is None:
             return self.base
         # fit the best set to convergence on the records of the diagnosis
-        options = ("tolerance", "offset", "noise", "horizon")
-        settings = {k: self.settings[k] for k in options if k in self.settings}
+        settings = {k: self.settings[k] for k in ("tolerance", "offset", "noise", "horizon")}
         ranked = self.best.refinement
         with unheard(IdentifiabilityWarning):  # the sentences name what the records leave open
             polished = refit(ranked, list(self.records), elsewhere=False, **settings)
@@ -510,8 +506,7 @@ class Improvement(ReportedModel):
     @property
     def effects(self) -> tuple[Effect, ...]:
         """Effects in the last model that were asked for."""
-        last = self.refinement
-        return tuple(e for e, role in zip(last.effects, last.roles, strict=True) if role == "effect")
+        return asked_effects(self.refinement)
 
     def sentences(self) -> list[str]:
         """Return the steps and the outcome, one sentence each.
@@ -560,14 +555,17 @@ class Improvement(ReportedModel):
             Where to draw.
         label : str, optional
             Label of the held-out line.
-        legend_loc : str or False, optional
-            Place of the legend, by default "upper right"; False for none.
 
         Returns
         -------
         ControlPlot
         """
         return show(self, "plot", **options)
+
+
+def asked_effects(model: Refinement) -> tuple[Effect, ...]:
+    """Return the effects of a model, without linear parameters and offsets."""
+    return tuple(e for e, role in zip(model.effects, model.roles, strict=True) if role == "effect")
 
 
 def next_step(found: Diagnosis | Improvement) -> str:

@@ -83,8 +83,6 @@ class Search:
     colored : bool
         Whether noise may be other than white and normal. If so, other holds, noise of the inputs and
         unmeasured forces are tried, too.
-    alone : bool
-        Whether each parameter of the model is a candidate on its own.
 
     Attributes
     ----------
@@ -94,7 +92,7 @@ class Search:
         The nuisance of re-estimated parameters, if there are any.
     """
 
-    def __init__(self, case: Case, most: int = MOST + 1, *, colored: bool = True, alone: bool = True) -> None:
+    def __init__(self, case: Case, most: int = MOST + 1, *, colored: bool = True) -> None:
         self.case, self.most, self.colored = case, most, colored
         self.step = case.progress.step
         self.fitted, self.motion = case.fitted, case.motions[0]
@@ -104,8 +102,7 @@ class Search:
         self.numbers = {effect: FITTED_SPREAD * size for effect, size in parameters_of(case)}
         self.opened = frozenset[Nuisance]([Parameters(FITTED_SPREAD)] if self.numbers else [])
         # a parameter that is no candidate may still be the only wrong one
-        more = not_held(list(self.numbers), case.library) if alone else []
-        self.library = [*case.library, *more]
+        self.library = [*case.library, *not_held(list(self.numbers), case.library)]
         self.price = float(np.log(max(len(self.library), 2)))
         # a free decay has no input that could be held or noisy, and no force by its definition: the
         # predictor of an unmeasured force takes the error of any model there for that force

@@ -105,7 +105,7 @@ def _left(found: Diagnosis) -> list[str]:
 
 def _other_names(found: Diagnosis) -> list[str]:
     """Return the other names of the named change."""
-    same = found.best.same if found.best is not None and found.effects else ()
+    same = found.best.same if found.best and found.effects else ()
     names = ", ".join(map(_estimated, same))
     return [f"For these inputs and outputs it is the same change as {names}."] if names else []
 
@@ -115,15 +115,16 @@ def _offsets(found: Diagnosis) -> list[str]:
     if found.verdict == "adequate":  # they are told with what else was absorbed
         return []
     # offsets that differ clearly from zero
-    named = found.best.refinement if found.best is not None and found.effects else found.base
+    named = found.best.refinement if found.best and found.effects else found.base
     rows = [r for r in (found.floated or named).parameters if r.role == "offset" and _moved(r)]
     return [f"The fit includes {', '.join(map(_one, rows))}."] if rows else []
 
 
 def _other_forces(found: Diagnosis) -> list[str]:
     """Describe an unmeasured force, and a force of another form."""
-    hidden = found.best is not None and found.verdict != "unexplained"
-    hidden = hidden and found.none_of_these > levels().no_law
+    hidden = (
+        found.best is not None and found.verdict != "unexplained" and found.none_of_these > levels().no_law
+    )
     if not found.force_ratio:
         form = f"of another form has probability {found.none_of_these:.2f}"
         return [f"A{_force(found)[1:]} {form}; this record hardly shows its form."] if hidden else []

@@ -26,7 +26,7 @@ from rcorefine import Effect, Measurement, PhysicalModel
 
 from ..arguments import as_choice, as_flag, as_number, as_path, as_text, as_whole, printable
 from ..exceptions import DataError, ModelError
-from ..results import Reported, Result, Row
+from ..results import Result, Row
 from ..writing import check_target, damaged, read_archive, replacing
 from .hiding import LEVELS, TRAINING, Accepted, hide
 from .plants import PLANTS, record_of
@@ -402,7 +402,7 @@ class Grade(Row):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grades(Reported):
+class Grades(Result):
     """The answers of a class.
 
     Attributes

@@ -46,8 +46,8 @@ def output_weights(
     return 1.0 / np.maximum(level, 1e-12 * spread)
 
 
-def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
-    """The `Refinement` of a finished fit."""
+def package(fit: Any, physical: PhysicalModel, note: str, records: Sequence[Any]) -> Refinement:
+    """The `Refinement` of a finished fit, with the records that it keeps."""
     structure, problem, result = fit.structure, fit.problem, fit.result
     point = _at_prior(problem, result.point)
     theta, starts = problem.unpack(point)
@@ -61,10 +61,9 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
     p = structure.n_parameters
     covariance = unsure.covariance[:p, :p]
     spread = standard_deviations(covariance)
-    names = [q.label for q in structure.parameters]
     # offsets with a prior, which a record need not distinguish
-    offsets = np.array([row.role == "offset" for row in fit.table], dtype=bool)
-    settled = np.isfinite(problem.prior_sd) & offsets
+    settled = np.isfinite(problem.prior_sd) & [row.role == "offset" for row in fit.table]
+    names = [q.label for q in structure.parameters]
     found = tuple(unseen_combinations(unsure, theta, names, spread, settled))
     for sentence in found:
         warn(sentence, IdentifiabilityWarning)
@@ -93,9 +92,10 @@ def package(fit: Any, physical: PhysicalModel, note: str) -> Refinement:
         residual_orders=problem.whitener(residuals).orders,
         led=any(engine.lead is not None for engine in problem.engines),
         success=result.converged,
-        message=" ".join(part for part in (message, note) if part),
+        message=f"{message} {note}".rstrip(),
         warnings=found,
         of_responses=not problem.in_time,
+        records=tuple(records),
     )
 
 

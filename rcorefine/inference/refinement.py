@@ -37,6 +37,8 @@ class Refinement(ReportedModel, CodeExports):
     ----------
     physical_model : PhysicalModel
         Initial model.
+    records : tuple of Measurement or FrequencyResponse
+        Records that were fitted, as they were given.
     effects : tuple of Effect
         Effects that were added, linear parameters and offsets included.
     roles : tuple of str
@@ -75,6 +77,7 @@ class Refinement(ReportedModel, CodeExports):
 
     # model with its effects
     physical_model: PhysicalModel
+    records: tuple[Any, ...]
     effects: tuple[Effect, ...]
     roles: tuple[str, ...]
     constants: dict[int, float]
@@ -253,6 +256,27 @@ class Refinement(ReportedModel, CodeExports):
         return rows[0]
 
     @picture
+    def plot(self, data: Any = None, **options: Unpack[Options]) -> ct.ControlPlot:
+        """Draw a record, the initial and the refined model, and the residuals.
+
+        Of a frequency response: magnitude, phase and relative error.
+
+        Parameters
+        ----------
+        data : Measurement or FrequencyResponse, optional
+            Record; default the first of `records`.
+        ax : array of Axes, optional
+            Axes to draw in, as in `compare(...).plot()`.
+        label : list of str, optional
+            Labels of the two models.
+
+        Returns
+        -------
+        ControlPlot
+        """
+        return show(self, "plot", data, **options)
+
+    @picture
     def bode_plot(
         self,
         measured: Any = None,
@@ -402,10 +426,6 @@ class Refinement(ReportedModel, CodeExports):
         return str(views().refinement_script(self, data, horizon))
 
     # ------------------------------------------------------------------ in words
-    @property
-    def _what(self) -> str:
-        return "frequency response" if self.of_responses else "prediction" if self.led else "simulation"
-
     def sentences(self) -> list[str]:
         """Return the meaning of the results, one sentence per entry.
 
@@ -414,8 +434,9 @@ class Refinement(ReportedModel, CodeExports):
         list of str
         """
         # answer, meaning of std, message of the fit
+        what = "frequency response" if self.of_responses else "prediction" if self.led else "simulation"
         lines = [
-            f"The {self._what} explains {_percent(self.fit, self.fit)} of the "
+            f"The {what} explains {_percent(self.fit, self.fit)} of the "
             f"{'measured one' if self.of_responses else 'record'} "
             f"(initial model {_percent(self.initial_fit, self.fit)}).",
             "std is the standard deviation over repeated records"

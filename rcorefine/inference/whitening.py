@@ -35,15 +35,6 @@ def innovations(a: Array, signal: Array) -> Array:
     return left
 
 
-def whitened(signal: Array) -> Array:
-    """Return the innovations of a signal (N,) under its own model.
-
-    The mean is removed. The innovations begin at the first sample with a whole past.
-    """
-    a, _ = autoregression(signal)
-    return innovations(a, signal - signal.mean())[a.size - 1 :]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitener:
     """Autoregressive filters, one per output, for residuals and regressors.

@@ -137,9 +137,8 @@ def refine(
     >>> round(better.parameters[0].value, 3)
     90.0
     """
-    records = as_data(data, x0=x0, horizon=horizon, noise=noise, controller=controller)
+    given = as_data(data, x0=x0, horizon=horizon, noise=noise, controller=controller)
     physical, kept = unfold(under_control(model, controller, data))
-    given = records
     # channels in the order of the model
     records = [ordered_record(physical, record) for record in given]
     # known initial state as a deviation from the operating point
@@ -187,7 +186,7 @@ def refine(
             return other
 
         # standard deviations, and reasons not to trust the estimate
-        found = package(best, physical, note)
+        found = package(best, physical, note, given)
         return found if found.of_responses else doubted(found, best, again)
 
 
@@ -227,7 +226,8 @@ def refit(
     Refinement
     """
     physical, kept = unfold(model)
-    records = [ordered_record(physical, r) for r in as_data(data)]
+    given = as_data(data)
+    records = [ordered_record(physical, r) for r in given]
     segments, note = windows(physical, records, horizon)
     # smoothing widths of the laws stay as they are
     widths = {e.key: model.constants[i] for i, (e, _) in enumerate(kept) if i in model.constants}
@@ -248,7 +248,7 @@ def refit(
         best = min(filter(None, (best, fit)), key=lambda each: each.cost)
         states = best.problem.unpack(best.result.point)[1]
     assert best is not None
-    return package(best, physical, note)
+    return package(best, physical, note, given)
 
 
 def _with_widths(physical: PhysicalModel, chosen: _Roles, widths: dict[str, float]) -> Structure:
@@ -301,13 +301,12 @@ def base_fit(
     segments, note = windows(physical, ordered, horizon)
     # otherwise a local fit from the nominal values
     chosen = assemble(physical, kept, (), free, tolerance, offset_variants(physical, ordered[0], offset)[0])
-    constants = dict(getattr(model, "constants", {}))
-    structure = Structure(physical, [e for e, _ in chosen], constants=constants)
+    structure = Structure(physical, [e for e, _ in chosen], constants=getattr(model, "constants", None))
     fit = Fit(structure, [role for _, role in chosen], segments, noise, None, tolerance)
-    fit.steps = int(getattr(model, "substeps", 1))
+    fit.steps = getattr(model, "substeps", 1)
     if structure.field is not None:  # a nonlinear model needs substeps even without effects
         fit.resume(fit.steps, np.zeros((0, 0)))
-        return package(fit, physical, note)
+        return package(fit, physical, note, records)
     # free run from estimated initial states
     fit.problem = fit.build(segments, fit.steps)
     theta = structure.start()
@@ -319,4 +318,4 @@ def base_fit(
         fit.result = descend(fit.problem, fit.result.point, evaluations=30, tolerance=0.0, unnoticed=1e-4)
         if noise is not None or (structure.n_outputs == 1 and tolerance == 0):
             break
-    return package(fit, physical, note)
+    return package(fit, physical, note, records)

@@ -524,6 +524,8 @@ class RCORefiner(Locked, Result):
         """
         return show(self, "bode_plot", measured, omega, **options)
 
+    plot = bode_plot
+
     def _summary(self) -> Summary:
         """Cells and sentences of `str(refiner)`."""
         return self._estimator.summary()

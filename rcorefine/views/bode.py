@@ -6,7 +6,7 @@ The units follow `control.defaults`.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Unpack
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
@@ -20,7 +20,6 @@ from ..data.records import MOST_LEVELS, as_records, stretches_by_level
 from ..engine.amplitude_response import frequency_response_at
 from ..engine.simulation import simulated, structure_of
 from ..exceptions import DivergenceError, ModelError
-from ..results import Options, picture
 from ..systems.linear import Array, LinearModel
 from ..systems.response import as_sampled, frequency_response, hold_factor
 from .figures import BAND, MEASURED, Frame, log_labels, look_of, plain
@@ -212,16 +211,15 @@ def broken_phase(omega: Array, response: NDArray[np.complex128]) -> tuple[Array,
     return np.insert(omega, wraps, omega[wraps]), np.insert(angle, wraps, np.nan)
 
 
-@picture
-def bode_comparison(
+def bode(
     systems: Sequence[tuple[str, ct.StateSpace | LinearModel]],
-    measured: FrequencyResponse | Measurement | ct.FrequencyResponseData | None = None,
-    omega: ArrayLike | None = None,
-    *,
+    measured: FrequencyResponse | Measurement | ct.FrequencyResponseData | None,
+    omega: ArrayLike | None,
+    frame: Frame,
     deviation: Callable[[Array], Array] | None = None,
-    **options: Unpack[Options],
+    title: str | None = None,
 ) -> ct.ControlPlot:
-    """Bode plot of systems, beside a measured response where there is one.
+    """Draw a Bode plot of systems, beside a measured response if given.
 
     Parameters
     ----------
@@ -235,13 +233,13 @@ def bode_comparison(
     omega : array_like of shape (n_omega,), optional
         Frequencies in rad/s. Default: the measured band, or a decade around
         the poles and zeros.
+    frame : Frame
+        Axes, labels and settings.
     deviation : callable, optional
         Standard deviation of the last system's response, shape (n_y, n_w, K), at frequencies of
         shape (K,): drawn as a band of two of them about its curve.
-    ax : array of Axes, optional
-        Axes to draw in, shape (2 n_y, n_w), with `measured` (3 n_y, n_w).
-    label : str or sequence of str, optional
-        Labels in place of those in `systems`.
+    title : str, optional
+        Title of the figure.
 
     Returns
     -------
@@ -253,26 +251,7 @@ def bode_comparison(
     ------
     control.ControlDimension
         If systems and measured response differ in size.
-
-    Examples
-    --------
-    >>> first, second = ct.ss(ct.tf(1, [1, 0.1, 1])), ct.ss(ct.tf(1, [1, 0.3, 1]))
-    >>> cplt = bode_comparison([("initial", first), ("refined", second)])
-    >>> cplt.axes.shape
-    (2, 1)
     """
-    return bode(systems, measured, omega, Frame(**options), deviation)
-
-
-def bode(
-    systems: Sequence[tuple[str, ct.StateSpace | LinearModel]],
-    measured: FrequencyResponse | Measurement | ct.FrequencyResponseData | None,
-    omega: ArrayLike | None,
-    frame: Frame,
-    deviation: Callable[[Array], Array] | None = None,
-    title: str | None = None,
-) -> ct.ControlPlot:
-    """`bode_comparison` in a frame, with a title of its own."""
     models = [m if isinstance(m, LinearModel) else LinearModel.from_statespace(m) for _, m in systems]
     texts = [str(text) for text, _ in systems]
     measured = as_response(measured)
@@ -414,9 +393,9 @@ def _scale_error(drawn: BodeAxes, measured: FrequencyResponse) -> None:
 def level_bode(
     refinement: Any,
     levels: Sequence[float] | Array,
-    measured: Any = None,
-    omega: ArrayLike | None = None,
-    frame: Frame | None = None,
+    measured: Any,
+    omega: ArrayLike | None,
+    frame: Frame,
 ) -> ct.ControlPlot:
     """Bode plot of a model with nonlinear effects at stated amplitudes.
 
@@ -431,7 +410,7 @@ def level_bode(
         the same input, estimated in the same way.
     omega : array_like of shape (n_omega,), optional
         Frequencies in rad/s.
-    frame : Frame, optional
+    frame : Frame
         Axes of shape (2 n_y, n_w), labels of the levels, title, legend, settings.
 
     Returns
@@ -444,7 +423,6 @@ def level_bode(
     DataError
         If no level is given.
     """
-    frame = Frame() if frame is None else frame
     peaks = as_vector(levels, "levels", above=0.0)
     if omega is not None:
         omega = as_vector(omega, "omega", above=0.0)

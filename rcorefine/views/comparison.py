@@ -270,5 +270,4 @@ def plot_horizon(result: Comparison, frame: Frame) -> ct.ControlPlot:
             label = unit_text(f"RMSE of {data.output_labels[i]}", data.output_units[i])
             axis.set(xscale="log", yscale="log", ylabel=label)
         axes[-1, 0].set_xlabel("Prediction horizon [s]")
-        title = f"Error against prediction horizon, record {data.name}"
-        return frame.finish(axes, lines, title)
+        return frame.finish(axes, lines, f"Error against prediction horizon, record {data.name}")

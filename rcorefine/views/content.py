@@ -6,9 +6,10 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import singledispatch
+from functools import partial, singledispatch
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +49,12 @@ class Content:
     pictures : dict
         Function for each method of the result that draws; it takes the result, the `Frame` and the method's
         arguments.
+    records : sequence of Measurement, or of FrequencyResponse
+        Records of the report.
+    code : callable
+        Returns the code of the report.
     page : callable, optional
-        Returns the report of the result.
+        Returns the report of the result, where that holds more than its text and its pictures.
     """
 
     title: str = ""
@@ -62,6 +67,8 @@ class Content:
     data: Callable[[], Mapping[str, Any]] | None = None
     columns: Callable[[], tuple[Any, ...]] | None = None
     pictures: Mapping[str, Callable[..., ct.ControlPlot]] = field(default_factory=dict)
+    records: Sequence[Any] = ()
+    code: Callable[[], str] = str
     page: Callable[..., Page] | None = None
 
 
@@ -147,8 +154,28 @@ def report(
         Arguments of its method `report`.
     """
     target = check_target(path, title=title, code=code, overwrite=overwrite)
-    make = content(result).page
-    assert make is not None
-    page = make(result, **more)
+    page = (content(result).page or _plain_page)(result, **more)
     own = page.code if code is None else f"{code.rstrip()}\n\n{page.code}"
     return write_page(replace(page, title=title or page.title, code=own), target, overwrite=overwrite)
+
+
+def _plain_page(result: Any) -> Page:
+    """Return the page of a result: its text with its pictures."""
+    shown = content(result)
+    first = shown.tables[0]
+    sentences, fine = shown.answer()
+    pictures = []
+    for name in shown.pictures:
+        method = getattr(result, name)
+        said = str(inspect.getdoc(method)).partition("\n")[0]
+        pictures.append((name, partial(method, title=""), said))
+    return Page(
+        _head(shown, shown.verdict) or first.title or type(result).__name__,
+        "",
+        sentences or [*shown.above, *first.notes][:1],
+        fine,
+        pictures,
+        [shown.above, *shown.tables, _below(shown)],
+        code=shown.code(),
+        records=shown.records,
+    )

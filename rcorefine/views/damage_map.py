@@ -120,8 +120,7 @@ def plot_damage(result: DamageMap, frame: Frame, *, kind: str | None = None) -> 
             panel.tick_params(axis="x", labelbottom=True)
             label = unit_text(f"change of {name}", "%" if relative else rows[0].unit)
             panel.set(ylabel=label, xlim=(-0.6, len(rows) - 0.4))
-        title = plain(f"Changes in {result.name} (dark bars: named places)")
-        return frame.finish(axes, lines, title)
+        return frame.finish(axes, lines, plain(f"Changes in {result.name} (dark bars: named places)"))
 
 
 def _bars(panel: Any, rows: Sequence[DamageRow], relative: bool) -> list[Any]:

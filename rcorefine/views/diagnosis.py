@@ -386,14 +386,7 @@ def plot_advice(advice: ExperimentAdvice, frame: Frame) -> ct.ControlPlot:
         ax.invert_yaxis()
         ax.set(xlim=(0, 1), xlabel="probability that only the true effect remains")
         heading = "Next experiment (cost in record lengths)" if options else "Nothing to separate"
-        ax.set_title(heading if frame.title is None else frame.title)
-        legend, loc = None, frame.legend_loc
-        if frame.show_legend or (frame.legends and options):
-            own = frame.ax is None and not isinstance(loc, str)
-            place: dict[str, Any] = {"loc": loc if isinstance(loc, str) else "best", "framealpha": 0.9}
-            outside = {"loc": "outside lower center", "ncols": 2}
-            legend = ax.figure.legend(**outside) if own else ax.legend(**place)
-    return ct.ControlPlot(lines, axes, ax.figure, legend)
+        return frame.finish(axes, lines, heading, axes[0] if options else [])
 
 
 def _option_bars(ax: Any, advice: ExperimentAdvice, name: str) -> Any:
@@ -429,6 +422,7 @@ def confirmation_content(found: Confirmation) -> Content:
         above=[message],
         tables=[TextTable(headers, rows, left=2)],
         below=rest,
+        answer=lambda: ([message], found.verdict == "confirmed"),
         pictures={"plot": plot_confirmation},
     )
 
@@ -442,8 +436,6 @@ def plot_confirmation(confirmation: Confirmation, frame: Frame) -> ct.ControlPlo
     if not count:
         raise ModelError("the model has no added effect, so there is no coefficient to plot")
     (name,) = frame.labels(["95 % interval"])
-    if frame.ax is not None and (given := np.asarray(frame.ax, dtype=object).size) != count:
-        raise ct.ControlDimension(f"ax holds {given} axes; there are {count} coefficients")
     with frame.axes([1.0], count, figsize=(2.2 + 2.8 * count, 3.2)) as (axes, lines):
         names = [
             f"{e.name}, level {e.level:.2g}\nresidual p = {e.residual:.2g}" for e in confirmation.estimates

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import control as ct
@@ -14,8 +15,8 @@ from ..diagnosis.check_rows import Check, CheckRow
 from ..results import frequency_text
 from .bode import BodeAxes, BodeUnits
 from .content import Content, content, fields
-from .figures import MEASURED, Frame, trace, unit_text
-from .tables import TextTable, number
+from .figures import MEASURED, Frame, style, trace, unit_text
+from .tables import TextTable, number, wrapped
 
 _HOLD_TEXT = {
     "zoh": "constant between samples",
@@ -140,10 +141,10 @@ def plot_frequency_response(measured: FrequencyResponse, frame: Frame) -> ct.Con
             share = np.full(x.size, np.nan) if measured.coherence is None else measured.coherence[i]
             lines[3 * i + 2, j] = axes[3 * i + 2, j].plot(x, share, color=MEASURED, linewidth=1.0)
             axes[3 * i + 2, j].set_ylim(0.0, 1.05)
-        title = f"Measured frequency response of {measured.name}"
-        return frame.finish(axes, lines, title)
+        return frame.finish(axes, lines, f"Measured frequency response of {measured.name}")
 
 
+_TOLD = 3  # remarks above the picture
 _HEADERS = ["", "looked at", "where", "found"]
 
 
@@ -155,8 +156,25 @@ def check_content(found: Check) -> Content:
         above=looks or ["No problem found: the record and the model can be compared."],
         tables=[TextTable(_HEADERS, _rows(found.rows), left=4)],
         answer=lambda: ([row.sentence for row in found.looks], not found.stops),
+        data=lambda: fields(found, "rows detectable"),
         below=[row.sentence for row in found.rows if row.what == "information" and row not in found.looks],
+        pictures={"plot": plot_check},
+        records=[found.data],
     )
+
+
+def plot_check(found: Check, frame: Frame) -> ct.ControlPlot:
+    """Draw the record with its first remarks; see `Check.plot`."""
+    first = check_content(found).above[:_TOLD]
+    heading = "\n".join(wrapped(first)) if frame.title is None else frame.title
+    drawn = plot_measurement(found.data, replace(frame, title=heading))
+    named = {label for row in found.looks for label in row.where.split(", ")}
+    for label, lines in zip(
+        (*found.data.output_labels, *found.data.input_labels), drawn.lines.flat, strict=True
+    ):
+        if label in named:
+            lines[0].set_color(style(1).color)
+    return drawn
 
 
 def odd(rows: Sequence[CheckRow]) -> list[TextTable]:

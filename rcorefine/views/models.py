@@ -226,10 +226,7 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
         unit = improvement.output_units[0] if len(improvement.output_units) == 1 else ""
         ax.set_ylabel(unit_text("RMS error", unit))
         after = f"{improvement.verdict} after {counted(len(steps) - 1, 'step')}"
-        ax.set_title(frame.title or f"Error after each step: {after}")
-        place = frame.legend_loc if isinstance(frame.legend_loc, str) else "upper right"
-        legend = ax.legend(loc=place) if frame.legends else None
-    return ct.ControlPlot(lines, axes, ax.figure, legend)
+        return frame.finish(axes, lines, f"Error after each step: {after}")
 
 
 def estimates(refinement: Refinement) -> list[EstimatedParameter]:
@@ -252,10 +249,8 @@ def parameter_plot(refinement: Refinement) -> ct.ControlPlot:
             start, value, spread = row.initial / size, row.value / size, 1.96 * row.std / size
             axis.errorbar(value, i, xerr=min(spread, 1e3), fmt="o", color="#1f4e9c", capsize=3, markersize=4)
             axis.plot(start, i, marker="|", markersize=14, color="0.15")
-            axis.annotate(
-                f"{row.value:.4g} {row.unit}", (value, i), xytext=(0, 6), textcoords="offset points",
-                ha="center", fontsize="x-small",
-            )  # fmt: skip
+            text = f"{row.value:.4g} {row.unit}"
+            write_at(axis, text, (value, i), (0, 6), ha="center", fontsize="x-small")
             names.append(plain(row.name if row.name != row.kind else f"{row.kind} {row.place}"))
         axis.margins(x=0.08)
         axis.set_yticks(range(len(rows)), names)

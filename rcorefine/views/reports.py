@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
+import control as ct
 import numpy as np
 
 from ..comparison.compare import compare
@@ -38,6 +39,7 @@ from .comparison import comparison_table, plot_comparison
 from .content import Content, content, fields
 from .diagnosis import caption_of, plot_diagnosis, ranking_table
 from .failure_map import failure_table
+from .figures import Frame
 from .measurement import odd
 from .models import (
     estimates,
@@ -162,24 +164,15 @@ def responses_content(result: FrequencyComparison) -> Content:
         tables=[responses_table(result)],
         answer=partial(_response_answer, result),
         pictures={"plot": plot_responses},
-        page=_response_page,
+        records=[result.measured],
+        code=partial(_response_code, result),
     )
 
 
-def _response_page(result: FrequencyComparison) -> Page:
-    measured = result.measured
+def _response_code(result: FrequencyComparison) -> str:
     blocks, models = _models_code(result.models, result.several)
     call = [f"result = rco.compare({models}, measured)", "print(result)", "result.plot()"]
-    said = "Dots: measured response. Lines: the models. Bottom row: relative error."
-    return Page(
-        f"{' and '.join(result.names[:3])}: comparison with {measured.name}",
-        f"{len(result.names)} model(s), {measured.omega.size} frequencies",
-        *_response_answer(result),
-        pictures=[("bode", partial(result.plot, title=""), said)],
-        tables=[responses_table(result)],
-        code=script(*blocks, response_code(measured), call),
-        records=[measured],
-    )
+    return script(*blocks, response_code(result.measured), call)
 
 
 # ------------------------------------------------------------------ diagnosis
@@ -317,7 +310,7 @@ def _improvement_page(found: Improvement, data: Any = None) -> Page:
         f"Improvement of {last.physical_model.linear.name}: {found.verdict}",
         "",
         *_improvement_answer(found),
-        pictures=[("staircase", partial(found.plot, title=" "), said)],
+        pictures=[("staircase", partial(found.plot, title=""), said)],
         tables=[
             *odd(found.checks),
             replace(_steps_table(found), title="Root mean square error after each step", left=2),
@@ -337,9 +330,20 @@ def refinement_content(found: Refinement) -> Content:
         below=found.sentences(),
         answer=partial(_refinement_answer, found),
         data=lambda: {**_model(found), **fields(found, "fit rmse initial_fit success message warnings")},
-        pictures={"bode_plot": plot_bode, "response_plot": plot_response},
+        pictures={"plot": plot_refinement, "bode_plot": plot_bode, "response_plot": plot_response},
         page=_refinement_page,
     )
+
+
+def plot_refinement(found: Refinement, frame: Frame, data: Any = None) -> ct.ControlPlot:
+    """Draw a record beside both models; see `Refinement.plot`."""
+    beside = _compared((found.physical_model, found), found.records[0] if data is None else data)
+    return content(beside).pictures["plot"](beside, frame)
+
+
+def _compared(models: tuple[Any, Refinement], data: Any) -> Any:
+    """Compare a record with the initial and with the refined model."""
+    return replace(compare(list(models), data), names=("initial", "refined"))
 
 
 def _refinement_page(found: Refinement, data: Any = None) -> Page:
@@ -355,28 +359,22 @@ def _refinement_page(found: Refinement, data: Any = None) -> Page:
 def _beside_record(page: Page, models: tuple[Any, Refinement], data: Any) -> Page:
     """Add the initial and the refined model, and a record if there is one."""
     last = models[1]
+    data = last.records[0] if data is None else data
     linear = last.physical_model.linear
     about = (
         f"model {linear.name}: {counted(linear.n_states, 'state')}, {counted(linear.n_inputs, 'input')}, "
         f"{counted(linear.n_outputs, 'output')}"
     )
-    drawn, tables, records = [*page.pictures], [*page.tables], [] if data is None else [data]
-    if data is None:
-        tables.append(
-            ["The result does not contain the record; report(..., data=...) compares the models with one."]
-        )
-        drawn.append(_bode_picture(last, data))
+    drawn, tables, beside = [*page.pictures], [*page.tables], _compared(models, data)
+    if not data.in_time:
+        said = "Frequency responses of the initial and of the refined model, with the measured points."
+        drawn.append(("response", partial(beside.plot, title=""), said))
+        tables.append(responses_table(beside))
+        about += f"; compared with response {data.name}, {data.omega.size} frequencies"
     else:
-        beside: Any = replace(compare(list(models), data), names=("initial", "refined"))
-        if not data.in_time:
-            said = "Frequency responses of the initial and of the refined model, with the measured points."
-            drawn.append(("response", partial(beside.plot, title=""), said))
-            tables.append(responses_table(beside))
-            about += f"; compared with response {data.name}, {data.omega.size} frequencies"
-        else:
-            drawn += [("time", partial(beside.plot, title=""), _WORDS["time"]), _bode_picture(last, data)]
-            tables += _comparison_tables(beside)
-            about += f"; compared with record {data.name}, {data.n_samples} samples"
+        drawn += [("time", partial(beside.plot, title=""), _WORDS["time"]), _bode_picture(last, data)]
+        tables += _comparison_tables(beside)
+        about += f"; compared with record {data.name}, {data.n_samples} samples"
     if estimates(last):
         said = (
             "Estimates with 95 % intervals, in units of the initial value (or of the estimate, where the "
@@ -384,7 +382,7 @@ def _beside_record(page: Page, models: tuple[Any, Refinement], data: Any) -> Pag
         )
         drawn.append(("parameters", partial(parameter_plot, last), said))
     code = refinement_script(last, data)
-    return replace(page, about=about, pictures=drawn, tables=tables, code=code, records=records)
+    return replace(page, about=about, pictures=drawn, tables=tables, code=code, records=[data])
 
 
 def refinement_script(refinement: Refinement, data: Any, horizon: float | None = None) -> str:
@@ -396,12 +394,12 @@ def refinement_script(refinement: Refinement, data: Any, horizon: float | None =
     )
 
 
-def _bode_picture(refinement: Refinement, data: Measurement | None) -> Picture:
+def _bode_picture(refinement: Refinement, data: Measurement) -> Picture:
     """Bode diagram, at the levels of the record where the model is not linear."""
     structure, _, _ = refinement.simulation_structure()
-    if structure.is_linear or data is None:
-        said = "Frequency response of the initial and of the refined model, without nonlinear effects."
-        said += "" if data is None else " Dots: measured. Bottom row: relative error."
+    if structure.is_linear:
+        said = "Frequency response of the initial and of the refined model. Dots: measured. Bottom row: "
+        said += "relative error."
         return "bode", partial(refinement.bode_plot, data, title=""), said
     rms = [level for level, _ in stretches_by_level(data)]
     # a sine of the same power as the record, and a weaker one where the record has one level only

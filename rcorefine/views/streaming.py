@@ -55,6 +55,7 @@ def monitor_content(monitor: Monitor) -> Content:
     notes.append(_false_alarms(monitor))
     return Content(
         tables=[TextTable(["candidate", "coefficient", "probability", "gain"], rows, title, notes)],
+        answer=lambda: (notes[:1], state is None),
         data=lambda: {"n_samples": n, "alarm": state, "rows": monitor.ranking},
         pictures={"plot": plot_monitor},
     )

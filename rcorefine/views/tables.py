@@ -82,6 +82,16 @@ class TextTable:
     left : int
         That many columns from the left are text, set left; the others are
         set right.
+
+    Examples
+    --------
+    >>> print(TextTable(["model", "fit"], [["plant", "41.2"]], notes=["fit in percent."]).text())
+    model   fit
+    -----  ----
+    plant  41.2
+    fit in percent.
+    >>> "&lt;b&gt;" in TextTable(["model"], [["<b>"]]).html()
+    True
     """
 
     headers: Sequence[str]
@@ -131,31 +141,6 @@ class TextTable:
             f'<div class="rcorefine"><table>{caption}<thead>{head}</thead>'
             f"<tbody>{body}</tbody></table>{below}</div>"
         )
-
-
-def text_table(headers: Sequence[str], rows: Sequence[Sequence[str]], **options: Any) -> str:
-    """Return a `TextTable` in plain text of at most 80 columns.
-
-    Examples
-    --------
-    >>> print(text_table(["model", "fit"], [["plant", "41.2"]], notes=["fit in percent."]))
-    model   fit
-    -----  ----
-    plant  41.2
-    fit in percent.
-    """
-    return TextTable(headers, rows, **options).text()
-
-
-def html_table(headers: Sequence[str], rows: Sequence[Sequence[str]], **options: Any) -> str:
-    """Return a `TextTable` in HTML, all text escaped.
-
-    Examples
-    --------
-    >>> "&lt;b&gt;" in html_table(["model"], [["<b>"]])
-    True
-    """
-    return TextTable(headers, rows, **options).html()
 
 
 def _sizes(table: Sequence[Sequence[str]]) -> list[int]:
