@@ -13,6 +13,7 @@ import sys
 import tempfile
 import types
 from collections.abc import Callable
+from decimal import Decimal
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -25,7 +26,9 @@ from numpydoc.docscrape import NumpyDocString
 from scipy.io import savemat
 
 import rcorefine as rco
+from rcorefine.commands.cli import _COMMANDS
 from rcorefine.conftest import collect_ignore
+from rcorefine.diagnosis.experiments import ExperimentAdvice
 
 HEAVY = ["pandas", "statsmodels", "dask", "distributed", "harold", "sklearn", "h5py", "IPython", "pytest"]
 
@@ -272,8 +275,69 @@ def test_readme_example_runs(tmp_path, monkeypatch, capsys):
     before, after = names["result"].fit
     assert before[0] < 50
     assert after[0] > 97.5  # noise of 2 % leaves a fit of 98 %
-    assert [e.label for e in names["found"].effects] == ["cubic_stiffness at link1"]
-    assert "fit" in capsys.readouterr().out
+    lines = capsys.readouterr().out.splitlines()
+    shown = re.search(r"It prints, among others:\n+```\n(.*?)\n```", text, flags=re.DOTALL)
+    assert shown is not None
+    for part in shown[1].split("\n...\n"):
+        expected = part.splitlines()
+        starts = range(len(lines) - len(expected) + 1)
+        assert any(all(map(prints_as, expected, lines[at:])) for at in starts), part
+
+
+_NUMBER = re.compile(r"(?<![\w.\[-])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+
+
+def prints_as(expected: str, line: str) -> bool:
+    """The same words, and numbers that differ by one in the last digit shown, as other machines round."""
+    figures = [_NUMBER.findall(one) for one in (expected, line)]
+    if len(figures[0]) != len(figures[1]):
+        return False
+    unit = [Decimal(1).scaleb(int(Decimal(one).as_tuple().exponent)) for one in figures[0]]
+    near = all(abs(Decimal(a) - Decimal(b)) <= u for a, b, u in zip(*figures, unit, strict=True))
+    words = [_NUMBER.sub("#", one).split() for one in (expected, line)]
+    return near and words[0] == words[1]
+
+
+@pytest.mark.parametrize(
+    ("line", "same"),
+    [
+        ("y[0]  31.5  0.00459", True), ("y[0]  31.6  0.00458", False), ("y[1]  31.4  0.00458", False),
+        ("y[0]  31.4  0.00458  1", False), ("y[0] 31.4 -0.00458", False),
+    ],
+)  # fmt: skip
+def test_a_printed_line_may_differ_in_its_last_digit_only(line, same):
+    assert prints_as("y[0]  31.4  0.00458", line) == same
+
+
+def test_rates_of_the_readme_are_those_that_were_measured():
+    """The numbers of each sentence stand together in one paragraph or row of docs/rates.md."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    rates = (ROOT / "docs" / "rates.md").read_text(encoding="utf-8")
+    measured = [set(_NUMBER.findall(part)) for part in re.split(r"\n\n|\n(?=[|-])", rates)]
+    sentences = re.findall(
+        r"^- (.*)$", readme.split("## How far to trust it")[1].split("\n## ")[0], re.MULTILINE
+    )
+    assert len(sentences) == 3
+    for sentence in sentences:
+        figures = set(_NUMBER.findall(sentence.replace("95 % interval", "")))
+        assert any(figures <= there for there in measured), sentence
+    count = len(list((ROOT / "notebooks").glob("*.ipynb")))
+    words = "zero one two three four five six seven eight nine ten eleven twelve".split()
+    assert f"({words[count]}, with their outputs)" in readme
+
+
+def test_what_the_readme_promises_of_results_and_of_the_terminal():
+    """Every result of the table has a picture and a report; the terminal has the verbs that are named."""
+    named = (
+        "Check Comparison Diagnosis Improvement Refinement Confirmation DamageMap RCORefiner Monitor Survey"
+    )
+    for kind in [*(getattr(rco, name) for name in named.split()), ExperimentAdvice]:
+        assert callable(kind.plot), kind
+        assert callable(kind.report), kind
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    said = readme.split("The terminal has ")[1].split("record.csv")[0]
+    verbs = set(re.findall(r"`([a-z]+)`", said))
+    assert verbs | {"demo", "explore", "example"} == set(_COMMANDS)
 
 
 def test_readme_opens_with_the_two_commands():

@@ -8,7 +8,6 @@ import sys
 import threading
 from argparse import ArgumentTypeError, Namespace
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -82,18 +81,19 @@ def analyze_models(
         given["validation"] = held_out
     if function is rco.compare:
         record = shown
-    result = function(known[0] if len(known) == 1 else known, record, **given)
-    # what is printed and drawn, where that is not the result's own
+    if isinstance(function, type):  # it takes the record as a stream
+        result = function(known[0], **given | {"dt": record.dt, "hold": record.hold}).run(record)
+    else:
+        result = function(known[0] if len(known) == 1 else known, record, **given)
+    # what is printed, where that is not the result's own
     sentences, fine = result.answer()
-    text, draw = str(result), getattr(result, "plot", None)
-    if function is rco.refine:
-        draw = partial(result.bode_plot, shown)
-    elif function is rco.improve:
+    text = str(result)
+    if function is rco.improve:
         text += f"\n{result.refinement}"
     elif function is rco.compare:  # one model fails where another may not
         failures = result.failures[result.best] if result.several else result.failures
         text, fine = f"{text}\n{failures}", not failures
-    return finish(arguments, not fine, sentences, result, text=text, data=record, draw=draw, beside=shown)
+    return finish(arguments, not fine, sentences, result, text=text, data=record, beside=shown)
 
 
 def _records(

@@ -96,9 +96,8 @@ def _run(arguments: argparse.Namespace) -> Any:
     parameters = inspect.signature(function).parameters.values()
     known = vars(arguments) | {"arguments": arguments}
     first = [known[one.name] for one in parameters if one.kind is one.POSITIONAL_ONLY]
-    return function(
-        *first, **{one.name: known[one.name] for one in parameters if one.kind is one.KEYWORD_ONLY}
-    )
+    named = {one.name for one in parameters if one.kind is one.KEYWORD_ONLY} & known.keys()
+    return function(*first, **{name: known[name] for name in named})
 
 
 _EXIT_CODES = (
@@ -180,8 +179,21 @@ _COMMANDS = {
         public="rcorefine:localize_damage",
         keys=" (what has changed), record, name, "
         "rows (name, kind, place, nominal, unit, change, std, percent, percent_std, p_value, limit, "
-        "limit_percent, named, ...), the other fields of the result, report. The exit code is 1 where a place "
-        "has changed.",
+        "limit_percent, named, ...), the other fields of the result, report. The exit code is 1 where a "
+        "place has changed.",
+    ),
+    "stream": _Command(
+        "refine a model while the samples of a record arrive",
+        public="rcorefine:RCORefiner",
+        without="validation split",
+        keys=", record, n_samples, n_learned, system, report. The exit code is 0.",
+    ),
+    "monitor": _Command(
+        "watch a record as a stream: an alarm names the change",
+        public="rcorefine:Monitor",
+        without="validation split",
+        keys=" (the alarm, or the fit), record, n_samples, alarm, rows (effect, coefficients, std, "
+        "probability, log_likelihood), report. The exit code is 1 where an alarm is on.",
     ),
     "bode": _Command(
         "frequency responses of models, compared with that of a record",
@@ -230,7 +242,8 @@ def build_parser(wanted: str) -> argparse.ArgumentParser:
     Returns
     -------
     ArgumentParser
-        Subcommands demo, check, compare, diagnose, improve, refine, localize, bode, survey, explore, example.
+        Subcommands demo, check, compare, diagnose, improve, refine, localize, stream, monitor, bode,
+        survey, explore, example.
     """
     parser = argparse.ArgumentParser(
         prog="rcorefine",
@@ -258,9 +271,9 @@ def _describe(parser: argparse.ArgumentParser, name: str, command: _Command) -> 
     prose = (inspect.getdoc(public) or "").partition("\nParameters\n")[0].replace("`", "").split("\n\n")
     parser.description = "\n\n".join(textwrap.fill(" ".join(one.split()), 79) for one in prose)
     add_options(parser, function, "", command.without)
-    add_options(parser, public, f"arguments of rcorefine.{public.__name__}()", command.without)
-    for title, other in command.more:
+    for title, other in command.more:  # before the others: a stream has the sampling time of its record
         add_options(parser, resolve_name(other), title, command.without)
+    add_options(parser, public, f"arguments of rcorefine.{public.__name__}()", command.without)
     below = [command.exit_codes]
     if command.keys:
         below.insert(0, f"Keys of --json: command, rcorefine, exit_code, answer{command.keys}")
