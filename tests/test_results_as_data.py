@@ -6,48 +6,9 @@ import json
 
 import numpy as np
 import pytest
-from inner import Data
 
 import rcorefine as rco
 from tests import public_calls
-from tests.public_calls import RESULTS
-
-
-def test_every_public_result_is_here():
-    """What the reference lists as a result is tried below."""
-    kinds = {name for name in rco.__all__ if isinstance(getattr(rco, name), type)}
-    assert {name for name in kinds if issubclass(getattr(rco, name), Data)} == set(RESULTS)
-
-
-OTHERS = {
-    "FailureMap": lambda: public_calls.comparison().failures,
-    "FrequencyComparison": public_calls.in_frequency,
-    "ExperimentAdvice": public_calls.advice,
-    "HiddenForce": lambda: public_calls.diagnosis().hidden_force,
-    "Detectable": lambda: rco.diagnose(public_calls.model(), public_calls.record()).detectable[0],
-    "RankedEffect": lambda: public_calls.diagnosis().best,
-    "FTest": lambda: public_calls.diagnosis().tests[0],
-    "Step": lambda: public_calls.improvement().steps[-1],
-    "DamageRow": lambda: public_calls.damage_map().rows[0],
-    "SurveyRow": lambda: public_calls.surveyed().rows[0],
-    "FleetEffect": lambda: public_calls.surveyed().effects[0],
-    "MonitorRow": lambda: public_calls.watched().ranking[0],
-    "Failure": lambda: rco.compare(public_calls.model(), public_calls.small_record(1, 20.0)).failures[0],
-    "RecordEstimate": lambda: public_calls.confirmation().estimates[0],
-}
-
-
-@pytest.mark.parametrize("name", [*RESULTS, *OTHERS])
-def test_strict_json_and_a_table(name):
-    made = {**RESULTS, **OTHERS}[name]()
-    content = made.to_dict()
-    text = json.dumps(content, allow_nan=False)  # raises where a number is not finite
-    assert json.loads(text) == content
-    assert content
-    assert not any(key.startswith("_") for key in content)
-    frame = made.to_dataframe()
-    assert len(frame) > 0
-    assert not any(isinstance(cell, list | dict) for column in frame for cell in frame[column])
 
 
 def test_signals_keep_their_names_and_times():

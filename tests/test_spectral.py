@@ -187,6 +187,5 @@ def test_table_and_plot():
     assert all(len(line) <= 80 for line in str(got).splitlines())
     assert "&lt;run&gt;" in got._repr_html_()
     cplt = got.plot()
-    assert isinstance(cplt, ct.ControlPlot)
     assert cplt.axes.shape == (6, 2)
     assert cplt.axes[1, 0].get_ylim() == pytest.approx((-198, 198))

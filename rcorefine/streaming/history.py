@@ -121,7 +121,7 @@ def rates(model: LinearModel, dt: float | None) -> Complex:
     if model.is_continuous:
         return poles
     with np.errstate(divide="ignore"):
-        return np.asarray(np.log(poles) / (1.0 if dt is None else dt))
+        return np.asarray(np.log(poles) / (dt or 1.0))
 
 
 def poles_of(models: Sequence[LinearModel], dt: float | None) -> Complex:
