@@ -31,6 +31,16 @@ def few_or_all(*kinds: str) -> list[Any]:
     return [pytest.param(kinds, id="few"), pytest.param(None, id="all", marks=pytest.mark.slow)]
 
 
+def named(found: Any, effect: rco.Effect, value: float, share: float = 0.0) -> None:
+    """Assert that an effect is named, alone or among those that tie, with its first coefficient."""
+    assert found.verdict in ("effect", "ambiguous")
+    assert effect in (*found.ambiguous, *found.effects)
+    rows = [one for row in found.ranking for one in (row, *row.same)]
+    row = next(one for one in rows if one.effect == effect)
+    size, std = next(iter(row.coefficients.values())), next(iter(row.std.values()))
+    assert abs(size - value) < 4 * std + share * abs(value), (size, std, value)
+
+
 def offered(model: Any, kinds: tuple[str, ...] | None) -> list[rco.Effect] | None:
     """Return the candidates of these kinds at all places, None for the whole library."""
     return kinds and [effect for effect in rco.effect_library(model) if effect.kind in kinds]

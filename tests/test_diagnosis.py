@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 import control as ct
 import numpy as np
 import pytest
-from cases import slow
+from cases import named, slow
 from hidden.generator import OUTSIDE, hidden_record
 from scipy import stats
 from scipy.signal import lfilter
@@ -106,7 +106,7 @@ def test_two_amplitudes_agree_on_a_true_law():
     hidden = hidden_record(33, plant="quarter car", effect="quadratic_damping", loss=0.2, samples=1000)
     half = rco.Measurement(0.3 * hidden.data.inputs, hidden.at_scale(0.3), dt=hidden.data.dt, hold="foh")
     found = rco.diagnose(hidden.plant.model, [hidden.data, half], candidates=hidden.candidates)
-    assert found.verdict in ("effect", "ambiguous")
+    named(found, rco.Effect(hidden.kind, hidden.place), hidden.coefficient)
     assert any("they agree" in note for note in found.notes)
 
 
@@ -156,32 +156,29 @@ NOISES = ("white", "ar", "resonant", "t3")
 BENCHES = ("chain", "motor", "quarter car", "RLC", "thermal")
 
 
-@pytest.mark.parametrize(
-    ("kinds", "n"), [(NOISES, 4), *slow((NOISES, 8), *(((kind,), 6) for kind in NOISES))]
-)
-def test_no_alarm_where_nothing_is_missing(kinds, n):
-    """One rate over all kinds of noise; each kind alone in the long run."""
-    verdicts = []
+@pytest.mark.slow
+def test_no_alarm_where_nothing_is_missing():
+    """One rate over all kinds of noise, ten records of each."""
+    verdicts, n = [], 40
     for i in range(n):
-        seed, kind = 900 + i // len(kinds), kinds[i % len(kinds)]
+        seed, kind = 900 + i // len(NOISES), NOISES[i % len(NOISES)]
         verdicts.append(diagnosed(seed, effect=None, noise_kind=kind, samples=700)[1].verdict)
     assert verdicts.count("adequate") >= least_of(n, 0.95)
 
 
-@pytest.mark.parametrize(
-    ("plants", "n"), [(BENCHES[:3], 3), *slow((BENCHES, 5), *(((plant,), 3) for plant in BENCHES))]
-)
-def test_hidden_effects_are_named(plants, n):
-    right = wrong = 0
+@pytest.mark.slow
+def test_hidden_effects_are_named():
+    """Right in 95 of 100, eight records of each plant, and a wrong name alone in fewer than 5 of 100."""
+    right, wrong, n = 0, 0, 40
     for i in range(n):
-        seed, plant = 950 + i // len(plants), plants[i % len(plants)]
+        seed, plant = 950 + i // len(BENCHES), BENCHES[i % len(BENCHES)]
         hidden, found = diagnosed(seed, plant=plant, loss=0.2, samples=1000)
         truth = (hidden.kind, hidden.place)
         names = [(e.kind, e.place) for e in found.ambiguous]
         right += found.verdict != "unexplained" and truth in names
         wrong += found.verdict == "effect" and truth not in names
     assert right >= least_of(n, 0.95)
-    assert wrong == 0
+    assert wrong <= n - least_of(n, 0.95)
 
 
 @pytest.mark.slow

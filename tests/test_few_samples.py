@@ -36,7 +36,7 @@ FEW = ("threshold_flow", "quadratic_damping", "output_saturation")
 
 
 #: Heavy tails of the noise explain what shows in few samples, and a loss at the wall imitates the vent.
-IMITATED = pytest.mark.xfail(reason="a set of other laws imitates these two", strict=False)
+IMITATED = pytest.mark.xfail(reason="a set of other laws imitates these two")
 
 
 @pytest.mark.parametrize(

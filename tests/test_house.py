@@ -400,3 +400,66 @@ def test_one_of_each():
     for what, where in only.items():
         found = {file for file, (text, _) in files().items() if what in text}
         assert found == where, f"{what} in {sorted(found)}"
+
+
+# ------------------------------------------------------------------ tests that hold nothing
+VERDICTS = {"adequate", "parameters", "effect", "ambiguous", "unexplained"}
+#: A command that is interrupted, or given a random label, may end in several ways.
+SEVERAL_ENDS = {"test_interruptions.py", "test_labels.py"}
+
+
+@functools.cache
+def trees() -> dict[str, ast.Module]:
+    """Syntax tree of each file of the tests."""
+    return {
+        path.name: ast.parse(path.read_text(encoding="utf-8"))
+        for path in sorted((PACKAGE.parent / "tests").rglob("*.py"))
+    }
+
+
+def compared_with_several(tree: ast.AST) -> list[tuple[int, set[object]]]:
+    """Lines that assert that something is one of several constants, and these."""
+    found = []
+    for node in ast.walk(tree):
+        for inner in ast.walk(node.test) if isinstance(node, ast.Assert) else ():
+            if isinstance(inner, ast.Compare) and isinstance(inner.ops[0], ast.In):
+                several = inner.comparators[0]
+                if isinstance(several, ast.Tuple | ast.List | ast.Set):
+                    values = {one.value for one in several.elts if isinstance(one, ast.Constant)}
+                    found.append((inner.lineno, values))
+    return found
+
+
+def test_no_expected_failure_may_pass():
+    """An xfail that passes is an error: `xfail_strict` of pyproject.toml, and no mark that overrides it."""
+    assert "xfail_strict = true" in (PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8")
+    loose = [
+        f"{file}:{node.lineno}"
+        for file, tree in trees().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("xfail")
+        if any(word.arg == "strict" and ast.unparse(word.value) != "True" for word in node.keywords)
+    ]
+    assert loose == []
+
+
+def test_no_assertion_accepts_several_verdicts():
+    """`named` of tests/cases.py asserts the coefficient as well; else a test knows the word."""
+    several = [
+        f"{file}:{line}"
+        for file, tree in trees().items()
+        for line, values in compared_with_several(tree)
+        if len(values & VERDICTS) > 1 and file != "cases.py"
+    ]
+    assert several == []
+
+
+def test_no_assertion_accepts_success_or_failure():
+    """A test knows how its command ends: 0, or 1 where something was found."""
+    either = [
+        f"{file}:{line}"
+        for file, tree in trees().items()
+        for line, values in compared_with_several(tree)
+        if {0, 1} <= values and file not in SEVERAL_ENDS
+    ]
+    assert either == []

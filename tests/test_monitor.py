@@ -153,7 +153,7 @@ def test_finds_a_stiffness_loss_names_the_link_and_dates_it(seeds, whole):
         if alarm.effect.kind == "stiffness":
             sizes.append(alarm.coefficients["stiffness"] / (-0.1 * plant.k[plant.link]))
     assert np.median(delays) <= 10
-    assert binom.cdf(sum(right), len(right), 0.95) > 0.01
+    assert all(right)  # of these streams; of many: `test_delay_and_link_over_many_structures`
     assert np.max(np.abs(since)) < 3
     assert len(sizes) >= len(seeds) - 1
     assert np.allclose(sizes, 1, atol=0.1)
@@ -760,12 +760,13 @@ def test_bad_samples_are_refused():
 
 
 # ------------------------------------------------------------------------ statistics
-@pytest.mark.parametrize(("colors", "whole"), [("white ar", False), *slow(("white", True), ("ar", True))])
-def test_false_alarms_stay_below_the_stated_number(colors, whole):
-    total, seeds, N, kinds = 0, 5, 12_000, colors.split()
+@pytest.mark.slow
+@pytest.mark.parametrize("whole", [False, True])
+def test_false_alarms_stay_below_the_stated_number(whole):
+    total, seeds, N = 0, 40, 12_000
     for seed in range(200, 200 + seeds):
         plant = Chain(seed)
-        w, y = plant.record(np.zeros(N), color=kinds[seed % len(kinds)])
+        w, y = plant.record(np.zeros(N), color=("white", "ar")[seed % 2])
         candidates = None if whole else few(plant)
         monitor = rco.Monitor(plant.model, candidates, dt=plant.dt, false_alarms=1.0)
         monitor.update(w, y)

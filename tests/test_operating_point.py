@@ -5,7 +5,7 @@ import pickle
 import control as ct
 import numpy as np
 import pytest
-from cases import slow
+from cases import named, slow
 from inner import Engine, Structure, ordered_record
 from scipy.integrate import solve_ivp
 
@@ -75,9 +75,7 @@ def test_diagnose_names_the_drag(seed):
         car(F_DRAG, SLOPE), record(dragged, F_DRAG, seed=seed, noise=0.005, n=1200, size=2500.0)
     )
     assert "used without its tangent" in " ".join(str(found).split())
-    assert found.verdict in ("effect", "ambiguous")
-    kinds = [effect.kind for effect in (*found.ambiguous, found.best.effect)]
-    assert "quadratic_damping" in kinds
+    named(found, rco.Effect("quadratic_damping", "v"), DRAG)
 
 
 @pytest.mark.parametrize("outlet", [0, *slow(1)])

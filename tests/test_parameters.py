@@ -8,7 +8,7 @@ from typing import Any
 import control as ct
 import numpy as np
 import pytest
-from cases import slow
+from cases import named, slow
 from inner import Case, Engine, Progress, Search, Structure, base_fit
 from scipy.signal import cont2discrete, dlsim
 from scipy.stats import binom, chi2, norm
@@ -151,22 +151,21 @@ def chain(m1: float, m2: float, c1: float, c2: float, k1: float, k2: float) -> c
 
 
 @pytest.mark.filterwarnings("ignore::rcorefine.exceptions.IdentifiabilityWarning")
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plant", "names", "dt"),
     [
         (lambda f: oscillator(0.5 * f[0], 25 * f[1], 0.4 * f[2], f[3]), "m[x] k[x] c[x] gain[u[0]]", 0.02),
-        *slow(
-            (lambda f: motor(*f), "J b L R", 0.002),
-            (lambda f: chain(*f), "m[q1] m[q2] c[q1] c[q1-q2] k[q1] k[q1-q2]", 0.03),
-            (lambda f: rco.series_rlc(10 * f[0], 0.1 * f[1], 1e-3 / f[2]), "R L 1/C", 0.002),
-        ),
+        (lambda f: motor(*f), "J b L R", 0.002),
+        (lambda f: chain(*f), "m[q1] m[q2] c[q1] c[q1-q2] k[q1] k[q1-q2]", 0.03),
+        (lambda f: rco.series_rlc(10 * f[0], 0.1 * f[1], 1e-3 / f[2]), "R L 1/C", 0.002),
     ],
     ids=["oscillator", "motor", "chain", "circuit"],
 )
 def test_intervals_of_95_percent_hold_the_truth(plant: Any, names: str, dt: float) -> None:
-    """Parameters drawn from the prior of 5 %: of each, one interval in 20 may miss (10 records)."""
+    """Parameters drawn from the prior of 5 %: of each, one interval in 20 may miss (40 records)."""
     inside = []
-    for seed in range(10):
+    for seed in range(40):
         rng = np.random.default_rng([seed, 7])
         factors = 1.0 + 0.05 * rng.standard_normal(len(names.split()))
         system = getattr(true := plant(factors), "linear", true)
@@ -184,16 +183,15 @@ def test_intervals_of_95_percent_hold_the_truth(plant: Any, names: str, dt: floa
         told = [rows[name] for name in names.split()]
         z = [(r.value / r.initial - f) / (r.std / r.initial) for r, f in zip(told, factors, strict=True)]
         inside.append(np.abs(z) < norm.isf(0.025))
-    assert len(inside) >= 8
+    assert len(inside) >= binom.ppf(1e-3, 40, 0.95)
     least = binom.ppf(0.005 / len(inside[0]), len(inside), 0.95)  # one parameter of a record tells on another
     assert np.all(np.sum(inside, axis=0) >= least)
 
 
 def test_a_single_spring_keeps_its_name() -> None:
     found = rco.diagnose(BUILT, record(4, k2=0.9))
-    assert found.verdict in ("effect", "ambiguous")
+    named(found, rco.Effect("stiffness", "link2"), -0.1 * 100.0)
     assert found.floated is None
-    assert rco.Effect("stiffness", "link2") in found.ambiguous
     assert found.parameters == ()
 
 

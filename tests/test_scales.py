@@ -135,7 +135,7 @@ def improved(of_inputs, of_outputs, pair):
 
 
 #: With inputs in units of 1e-15 the width of friction ends elsewhere, a quarter of a standard deviation away.
-UNSETTLED = pytest.mark.xfail(reason="the width of friction is chosen among a few", strict=False)
+UNSETTLED = pytest.mark.xfail(reason="the width of friction is chosen among a few")
 
 
 @pytest.mark.parametrize(

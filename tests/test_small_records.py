@@ -5,7 +5,7 @@ from __future__ import annotations
 import control as ct
 import numpy as np
 import pytest
-from cases import slow
+from cases import named, slow
 from inner import candidate_columns, estimated_motion, fitted_from, residual_tests
 from scipy.signal import lfilter
 
@@ -37,9 +37,7 @@ def mass_record(
 @pytest.mark.parametrize("n", [60, *slow(140)])
 def test_a_short_record_names_what_is_missing_and_nothing_else(n: int) -> None:
     found = rco.diagnose(MASS, mass_record(n, 0, cubic=6000.0))
-    tied = {(e.kind, e.place) for e in found.ambiguous}
-    assert found.verdict in ("effect", "ambiguous")
-    assert ("cubic_stiffness", "x") in tied
+    named(found, rco.Effect("cubic_stiffness", "x"), 6000.0)
     assert rco.diagnose(MASS, mass_record(n, 1)).verdict == "adequate"
 
 
@@ -82,7 +80,7 @@ def test_as_many_lags_are_tested_as_a_record_bears() -> None:
 def test_check_promises_what_a_short_record_shows() -> None:
     """A gain of the smallest size that is promised fails the tests in 95 of 100 records."""
     seen = 0
-    for seed in range(12):
+    for seed in range(20):
         shown = rco.check(MASS, mass_record(60, 200 + seed)).detectable
         least = next(d.smallest for d in shown if d.effect.kind == "input_gain")
         data = mass_record(60, 200 + seed, gain=1.0 + least)
@@ -91,7 +89,7 @@ def test_check_promises_what_a_short_record_shows() -> None:
         motion = estimated_motion(tested.fitted.structure, base.theta, data)
         scored = candidate_columns(tested.fitted, rco.effect_library(MASS), motion, (0.0,))
         seen += residual_tests.overall(residual_tests.run_tests(tested, scored, [motion])) < 0.01
-    assert seen >= 9  # fewer in 1 of 500 such dozens
+    assert seen >= 16  # fewer in 1 of 400 such runs
 
 
 def house_record(n: int, noise: float) -> rco.Measurement:

@@ -101,7 +101,6 @@ def test_a_gain_of_a_triple_integrator_is_not_lost_in_windows(seed):
     model = ct.ss(A, B, C, 0, states=["a", "b", "c"], inputs="u", outputs="y")
     data = rco.Measurement(w, y, dt=0.05, input_labels="u", output_labels="y")
     found = rco.diagnose(model, data)
-    assert found.verdict in ("parameters", "effect", "ambiguous")
     system = found.refine().system
     product = system.A[0, 1] * system.A[1, 2] * system.B[2, 0] * system.C[0, 0]
     assert abs(product - gain) < 4 * std + 0.002

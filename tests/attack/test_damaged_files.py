@@ -213,7 +213,7 @@ def test_a_dot_in_the_name_of_a_model_file(tmp_path, monkeypatch, capsys):
     found = columns(400)
     (tmp_path / "run.1.csv").write_text(csv_text(found))
     words = ["--input", "volt", "--output", "speed"]
-    assert main(["compare", "rocket.2.1.toml", "run.1.csv", *words]) in (0, 1)
+    assert main(["compare", "rocket.2.1.toml", "run.1.csv", *words]) == 1
     assert "rocket_2_1" in capsys.readouterr().out
 
 
