@@ -56,7 +56,7 @@ def confirmed(
             whitener=SimpleNamespace(scales=np.array([fit.noise, 0.1 * fit.noise])),
             residual=np.zeros((2, SAMPLES // 2)),
             p=[FTest(f"test {i}", 1.0, 1, p, 1.0, 1.0) for i, p in enumerate(fit.p)],
-            shares=[SimpleNamespace(model=0.1 * fit.error), SimpleNamespace(model=fit.error)],
+            shares=[SimpleNamespace(model=share * fit.error) for share in (0.1, 1.0) if fit.error],
         )
         fits.append(room._Alone(tested, np.array(fit.theta), np.diag(np.square(fit.sd))))
     sizes = [1.0, *(fit.amplitude for fit in further)]
@@ -133,6 +133,9 @@ OFF = Fitted(theta=[1.0 + 1e3], sd=[1.0])
             {},
             "confirmed",
             id="found in one record, large in the other",
+        ),
+        pytest.param(
+            [Fitted(p=[1e-9], error=0.0)], {}, "refuted", id="a response, which has no motion to share"
         ),
         # the first record
         pytest.param(

@@ -498,6 +498,14 @@ CLOSE = "The residual is not noise, but"
         ),
         pytest.param({"": START, "k": (5, 5, 5)}, {"most": 1}, "0k", FULL, id="one is allowed"),
         pytest.param({"": START, "k": (5, 5, 5)}, {"most": 2}, "0k", NONE, id="fewer than are allowed"),
+        pytest.param(
+            {"": START, "k": (5, 5, 5), "f": (9, 9, 9), "d": (9, 9, 9), "kf": (3, 3, 3), "fd": (9, 9, 9)}
+            | {"kd": (9, 9, 9), "kfd": (1, 1, 1)},
+            {"unfolds": {"k": "kf", "kf": "kfd"}},
+            "0kfd",
+            NONE,
+            id="on from the best two",
+        ),
         # too little to matter
         pytest.param(
             {"": START, "k": (5, 5, 5)}, {"left": {"k": 0.0099}}, "0k", CLOSE, id="an error of .99 %"

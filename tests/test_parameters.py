@@ -190,7 +190,7 @@ def test_intervals_of_95_percent_hold_the_truth(plant: Any, names: str, dt: floa
 
 def test_a_single_spring_keeps_its_name() -> None:
     found = rco.diagnose(BUILT, record(4, k2=0.9))
-    named(found, rco.Effect("stiffness", "link2"), -0.1 * 100.0)
+    named(found, rco.Effect("stiffness", "link2"), -0.1 * K[1])
     assert found.floated is None
     assert found.parameters == ()
 
