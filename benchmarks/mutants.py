@@ -1,8 +1,7 @@
 """How many wrong lines the tests see: one-line mutants of laws, estimators and decisions, drawn at random.
 
-Each mutant is made in a temporary copy of the repository, where the default tests run: first the files that
-name the mutated module, then the others. A row per mutant goes to the table at once, so a run may be stopped;
-the same call goes on from there. A mutant that is equivalent to the code counts as not seen.
+In a temporary copy the default tests run, those first that name the mutated module. A run may be stopped:
+the same call goes on from its table. A mutant that is equivalent to the code counts as not seen.
 
     python benchmarks/mutants.py --mutants 100 --seed 1 --out mutants.csv  # hours
 """
@@ -34,7 +33,6 @@ SWAPPED = {
     ast.Sub: ("-", "+"), ast.Mult: ("*", "/"), ast.Div: ("/", "*"), ast.And: ("and", "or"),
     ast.Or: ("or", "and"),
 }  # fmt: skip
-#: Fields of what has two operands: left, operator, right.
 OPERANDS = {
     ast.Compare: ("left", "ops", "comparators"), ast.BinOp: ("left", "op", "right"),
     ast.BoolOp: ("values", "op", "values"),
@@ -66,19 +64,10 @@ def edit_of(node: ast.AST, lines: list[bytes]) -> tuple[int, int, str] | None:
         larger = float(f"{1.5 * node.value:.12g}")
         return here, end, repr(larger if isinstance(node.value, float) else round(larger + 0.01))
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-        return here, node.operand.col_offset, ""
-    if isinstance(node, ast.Return) and isinstance(node.value, ast.BinOp | ast.Call | ast.Compare):
-        sign = "not" if isinstance(node.value, ast.Compare) else "-"
-        return here, end, f"return {sign} ({line[here + len('return') : end].decode().strip()})"
+        return here, here + len("not "), ""
+    if isinstance(node, ast.Return) and isinstance(node.value, ast.BinOp | ast.Call):
+        return here, end, f"return -({line[here + len('return') : end].decode().strip()})"
     return None
-
-
-def compiles(text: bytes) -> bool:
-    """Return whether a file is Python."""
-    try:
-        return bool(compile(text, "mutant", "exec"))
-    except SyntaxError:
-        return False
 
 
 def mutants() -> list[tuple[str, int, int, int, str]]:
@@ -94,18 +83,16 @@ def mutants() -> list[tuple[str, int, int, int, str]]:
 def run(copy: Path, tests: list[str], limit: float) -> str:
     """Run tests in the copy; return the first that fails, "timeout", or an empty string."""
     words = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "2", "-p", "no:cacheprovider", *tests]
-    with tempfile.TemporaryFile("w+") as out:
-        env = os.environ | {"OMP_NUM_THREADS": "1"}
-        made = subprocess.Popen(words, cwd=copy, env=env, start_new_session=True, stdout=out, stderr=out)
-        try:
-            code = made.wait(timeout=limit)
-        except subprocess.TimeoutExpired:
-            os.killpg(made.pid, signal.SIGKILL)  # with its workers, which are of its session
-            return "timeout"
-        out.seek(0)
-        failed = re.search(r"^(?:FAILED|ERROR) (\S+?(?:\[.*?\])?)(?: - |$)", out.read(), re.MULTILINE)
-    # 5: none of these files has a test of the default set
-    return "" if code in (0, 5) else failed[1] if failed else f"pytest ends with {code}"
+    out = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "start_new_session": True}
+    made = subprocess.Popen(words, cwd=copy, env=os.environ | {"OMP_NUM_THREADS": "1"}, **out)
+    try:
+        said, code = made.communicate(timeout=limit)[0], made.returncode
+    except subprocess.TimeoutExpired:
+        os.killpg(made.pid, signal.SIGKILL)  # with its workers, which are of its session
+        return "timeout"
+    failed = re.search(r"^(?:FAILED|ERROR) (\S+?(?:\[.*?\])?)(?: - |$)", said, re.MULTILINE)
+    ended = f"pytest ends with {code}" if code not in (0, 5) else ""  # 5: no test of the default set
+    return failed[1] if failed else ended
 
 
 def tried(copy: Path, path: Path, mutated: bytes, limit: float) -> str:
@@ -128,7 +115,7 @@ def tried(copy: Path, path: Path, mutated: bytes, limit: float) -> str:
 
 def main() -> None:
     """Draw mutants until the table holds as many as are asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser()
     for name, default in (("mutants", 100), ("seed", 1), ("out", "mutants.csv"), ("timeout", 1800.0)):
         parser.add_argument(f"--{name}", type=type(default), default=default)
     asked = parser.parse_args()
@@ -147,8 +134,8 @@ def main() -> None:
             line = lines[number - 1]
             lines[number - 1] = line[:start] + text.encode() + line[end:]
             change = f"{line.decode().strip()} -> {lines[number - 1].decode().strip()}"
-            if (file, str(number), change) in known or not compiles(b"\n".join(lines)):
-                continue  # drawn anew
+            if (file, str(number), change) in known:
+                continue
             by = tried(copy, copy / file, b"\n".join(lines), asked.timeout)
             row = file, number, change, bool(by), by, round(time.monotonic() - begun)
             table.append(dict(zip(FIELDS, map(str, row), strict=True)))

@@ -417,6 +417,10 @@ CLOSE = "The residual is not noise, but"
             NONE,
             id="a second one that chooses little is cut",
         ),
+        pytest.param({"": START, "k": (10.5, 9.2, 5)}, {}, "0", NONE, id="1.7 % of the mean for one"),
+        pytest.param(
+            {"": START, "k": (9.6, 8.7, 5)}, {"sizes": {"k": 2}}, "0", NONE, id="9 % of the mean for two"
+        ),
         # the held-out part takes back
         pytest.param({"": START, "k": (5, 5, 9.9)}, {}, "0k", NONE, id="a held-out error of 9.9"),
         pytest.param({"": START, "k": (5, 5, 10)}, {}, "0k", NONE, id="a held-out error of 10"),
