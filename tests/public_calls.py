@@ -503,7 +503,7 @@ CALLS: dict[str, Call] = {
         f"Refinement.to_{language}": Call(
             _method(refinement, f"to_{language}"), dict, {"path": or_none(is_path)}
         )
-        for language in ("python", "c", "matlab", "modelica")
+        for language in ("python", "c", "matlab")
     },
     "Refinement.linearize": Call(
         _method(refinement, "linearize"),

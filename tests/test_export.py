@@ -92,7 +92,7 @@ def test_the_python_file_runs_without_rcorefine_and_simulates_the_same(better, t
 
 
 def test_estimates_and_their_errors_stand_in_comments(better):
-    for text in (better.to_python(), better.to_c(), better.to_matlab(), better.to_modelica()):
+    for text in (better.to_python(), better.to_c(), better.to_matlab()):
         for row in better.parameters:
             assert f"{row.name} at {row.place}: {row.value:.6g} +- {row.std:.2g}" in text
 
@@ -161,13 +161,12 @@ def test_every_law_in_c(tmp_path):
         same(expected, call("rhs", expected.nstates), call("output", expected.noutputs), rtol=1e-11)
 
 
-# ---------------------------------------------------------------- MATLAB, Modelica
-@pytest.mark.parametrize("language", ["MATLAB", "Modelica"])
+# ---------------------------------------------------------------- MATLAB
 @pytest.mark.parametrize("kind", LAWS)
-def test_every_law_has_its_words(kind, language):
+def test_every_law_has_its_words(kind):
     built, theta = structure(kind)
     try:
-        text = PROGRAMS[language](equations_of(built, theta, ()))
+        text = PROGRAMS["MATLAB"](equations_of(built, theta, ()))
     except rco.ModelError as error:
         assert re.search("no differential equation|not written in", str(error))  # noqa: PT017
         return
@@ -177,10 +176,6 @@ def test_every_law_has_its_words(kind, language):
 
 def test_the_heads_of_programs(better):
     assert better.to_matlab().startswith("function [dx, y] = chain(t, x, u)\n%")
-    text = better.to_modelica()
-    assert text.startswith("model chain\n")
-    assert text.rstrip().endswith("end chain;")
-    assert "der(x[2]) =" in text
 
 
 # ---------------------------------------------------------------- laws of a user
@@ -304,17 +299,14 @@ def test_users_laws_in_other_languages():
     """No name is a reserved word, no number a condition, no condition a number."""
     matlab = PROGRAMS["MATLAB"](of_own(either)[0])
     assert "result = (2.0 * pick((d ~= 0.0), d, v)); return;" in matlab
-    modelica = PROGRAMS["Modelica"](of_own(both, "model")[0])
-    inner = "(if (v <> 0.0) then 1.5 else v)"
-    assert f"result := (2.0 * (if (d <> 0.0) then {inner} else d)); return;" in modelica
-    assert modelica.startswith("model model_\n")
-    for language in ("MATLAB", "Modelica"):
-        assert "log((abs(d) + 1.0)) / log(10.0)" in PROGRAMS[language](of_own(in_decades)[0])
-        text = PROGRAMS[language](of_own(letters)[0])
-        assert re.search(r"end_ :?= \(u3b6|end_ :?= \(vu3b6", text)
-        assert "v_end * v" in text
-        assert text.isascii()
-        assert "- -" not in PROGRAMS[language](of_own(longer)[0])
+    inner = "pick((v ~= 0.0), 1.5, v)"
+    assert f"result = (2.0 * pick((d ~= 0.0), {inner}, d)); return;" in PROGRAMS["MATLAB"](of_own(both)[0])
+    assert "log((abs(d) + 1.0)) / log(10.0)" in PROGRAMS["MATLAB"](of_own(in_decades)[0])
+    text = PROGRAMS["MATLAB"](of_own(letters)[0])
+    assert re.search(r"end_ = \(u3b6|end_ = \(vu3b6", text)
+    assert "v_end * v" in text
+    assert text.isascii()
+    assert "- -" not in PROGRAMS["MATLAB"](of_own(longer)[0])
 
 
 def shadowed(d, v):
@@ -331,7 +323,7 @@ def far(d, v):
 @pytest.mark.parametrize("law", [shadowed, far])
 def test_what_only_looks_like_a_function_of_math_is_refused(law):
     built = Structure(rco.mass_spring_damper(1.0, 0.8, 25.0), [rco.Effect("custom", "link1", law=law)])
-    for language in ("C", "MATLAB", "Modelica"):
+    for language in ("C", "MATLAB"):
         with pytest.raises(rco.ModelError, match=f"not written in {language}"):
             PROGRAMS[language](equations_of(built, built.start(), ()))
 
@@ -360,7 +352,7 @@ def test_a_law_that_a_language_has_no_words_for_is_named():
             PROGRAMS["C"](equations)
 
 
-@pytest.mark.parametrize("method", ["to_python", "to_c", "to_matlab", "to_modelica"])
+@pytest.mark.parametrize("method", ["to_python", "to_c", "to_matlab"])
 def test_a_path_that_is_none(better, method):
     with pytest.raises(ct.ControlArgument, match="path"):
         getattr(better, method)(7)

@@ -1,4 +1,4 @@
 """Export of a refined model as the code of another program.
 
-The targets are python-control alone, MATLAB, Modelica and C.
+The targets are python-control alone, MATLAB and C.
 """

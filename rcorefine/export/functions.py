@@ -46,9 +46,7 @@ class Language(NamedTuple):
     power: str
     functions: dict[str, str]
     reserved: frozenset[str]
-    body: tuple[str, ...] = ()  #: lines before the statements
     unused: str = ""  #: line that mentions an argument which the formula does not read
-    changes_arguments: bool = True
 
 
 _C = Language(
@@ -74,22 +72,7 @@ _MATLAB = Language(
               "function global if otherwise parfor persistent pick flip result return spmd switch try "
               "until while".split()),
 )  # fmt: skip
-_MODELICA = Language(
-    "Modelica", "function {name}\n{arguments}\n    output Real result;", "    input Real {};", "\n",
-    "  protected\n    Real {names};", "end {name};", "{name} := {value};", "result := {value}; return;",
-    "if {test} then", "else", "end if;", "(if {test} then {yes} else {no})", "<>", "and", "or", "not",
-    "({0})^({1})",
-    {"abs": "abs", "fabs": "abs", "max": "max", "min": "min", "pow": "({0})^({1})",
-     "copysign": "(if {1} < 0.0 then -abs({0}) else abs({0}))", "hypot": "sqrt(({0})^2 + ({1})^2)"},
-    frozenset("Real algorithm and annotation block break class connect connector constant constrainedby "
-              "der discrete each else elseif elsewhen encapsulated end enumeration equation expandable "
-              "extends external false final flow for function if import impure in initial inner input "
-              "loop model not operator or outer output package parameter partial protected public pure "
-              "record redeclare replaceable result return stream then time true type when "
-              "while within".split()),
-    body=("  algorithm",), changes_arguments=False,
-)  # fmt: skip
-LANGUAGES = {language.name: language for language in (_C, _MATLAB, _MODELICA)}
+LANGUAGES = {language.name: language for language in (_C, _MATLAB)}
 
 
 def word(name: str, language: str, taken: Iterable[str] = ()) -> str:
@@ -119,7 +102,7 @@ def translated(
         Formula, written for scalars: assignments, `if`, arithmetic, functions of `math`.
     name : str
         What the function is called.
-    language : {"Python", "C", "MATLAB", "Modelica"}
+    language : {"Python", "C", "MATLAB"}
         Language.
     label : str
         The effect, for messages.
@@ -213,16 +196,13 @@ class _Writer:
     def _head(self, name: str, arguments: list[str], stored: set[str], used: set[str]) -> list[str]:
         """Return the lines before the statements: arguments and variables."""
         language, words = self.language, self.words
-        changed = stored & set(arguments)
-        if changed and not language.changes_arguments:
-            raise self.refuse(f"{changed.pop()} = ...")
         given = language.between.join(language.argument.format(words[item]) for item in arguments)
         lines = [language.head.format(name=name, arguments=given)]
         own = [words[item] for item in sorted(stored - set(arguments))]
         if own and language.declare:
             lines.append(language.declare.format(names=", ".join(own)))
         unread = [words[item] for item in arguments if item not in used and language.unused]
-        return [*lines, *language.body, *(language.unused.format(item) for item in unread)]
+        return [*lines, *(language.unused.format(item) for item in unread)]
 
     def _plain(self, node: ast.stmt) -> ast.stmt:
         """Return a Python statement with values in place of names.

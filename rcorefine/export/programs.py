@@ -169,26 +169,10 @@ def _matlab(e: Equations) -> str:
     return "\n".join(lines)
 
 
-def _modelica(e: Equations) -> str:
-    name = _identifier(e, "Modelica")
-    common, rates, outputs = _lines(e, lambda name, i: f"{name}[{i + 1}]")
-    laws = ["  " + line for law in _laws(e, "Modelica") for line in (*law.splitlines(), "")]
-    lines = [
-        f"model {name}", *_head(e, "  //"), f"  input Real u[{len(e.input_labels)}];",
-        f"  output Real y[{len(outputs)}];", f"  Real x[{len(rates)}](each start = 0, each fixed = true);",
-        *([f"  Real {', '.join(key for key, _ in common)};"] if common else []), "",
-        *laws, "equation", *(f"  {key} = {value};" for key, value in common),
-        *(f"  der(x[{i + 1}]) = {value};" for i, value in enumerate(rates)),
-        *(f"  y[{i + 1}] = {value};" for i, value in enumerate(outputs)), f"end {name};", "",
-    ]  # fmt: skip
-    return "\n".join(lines)
-
-
 PROGRAMS: dict[str, Callable[[Equations], str]] = {
     "Python": _python,
     "C": _c,
     "MATLAB": _matlab,
-    "Modelica": _modelica,
 }
 
 
@@ -298,35 +282,6 @@ class CodeExports:
         'function [dx, y] = chain(t, x, u)'
         """
         return self._program("MATLAB", path)
-
-    def to_modelica(self, path: str | PathLike[str] | None = None) -> str:
-        """Write the refined model as a model in Modelica.
-
-        Parameters
-        ----------
-        path : str or path, optional
-            File to write.
-
-        Returns
-        -------
-        str
-            Model with inputs u, outputs y and states x from rest; the estimates with their standard
-            deviations stand in comments.
-
-        Raises
-        ------
-        ModelError
-            As `to_c`.
-
-        Examples
-        --------
-        >>> model, w = rco.mass_spring_damper(1.0, 0.8, 25.0), np.sin(0.3 * np.arange(200.0))
-        >>> data = rco.Measurement(w, ct.forced_response(model.system.sample(0.05), U=w).outputs, dt=0.05)
-        >>> better = rco.refine(model, data, [rco.Effect("stiffness", "link1")], offset=False)
-        >>> better.to_modelica().splitlines()[0]
-        'model chain'
-        """
-        return self._program("Modelica", path)
 
     def _program(self, language: str, path: str | PathLike[str] | None) -> str:
         target = None if path is None else as_path(path)
