@@ -348,6 +348,6 @@ def address_of(function: Callable[..., None], cache: bool) -> tuple[int, Any]:
             found = _kept(_NUMBA.cfunc, function, signature, error_model="numpy")
         else:
             found = _NUMBA.cfunc(signature, error_model="numpy")(function)
-    except _NUMBA.core.errors.NumbaError as error:
+    except Exception as error:  # errors of numba have no common base class
         raise TypeError(str(error)) from error
     return int(found.address), found

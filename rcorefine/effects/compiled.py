@@ -20,7 +20,7 @@ import numpy as np
 
 from ..exceptions import RCOWarning, warn
 from ..jit import NUMBA, address_of, call_at, compiled, compiled_law
-from .expressions import Number, Tape, Untraceable, as_numbers, in_python, tracing
+from .expressions import Number, Tape, Untraceable, as_numbers, in_python, read_by, tracing
 
 if TYPE_CHECKING:
     from .formula import FormulaLaw
@@ -71,8 +71,8 @@ else:
         _PLAIN[code](d, v, d_start, z_start, values[i], width, w, w.shape[0], out[i])
 
 
-def address(of: FormulaLaw, read: bytes, *, cache: bool) -> tuple[tuple[int, Any], bool]:
-    """Code of a law for the kernels.
+def address(of: FormulaLaw, made: dict[str | bytes, tuple[int, Any]]) -> int:
+    """Code of a law as it is now, for the kernels.
 
     Derivatives are those of its `slopes`. Without these they are exact if the formula can be traced, and
     central differences otherwise.
@@ -81,41 +81,52 @@ def address(of: FormulaLaw, read: bytes, *, cache: bool) -> tuple[tuple[int, Any
     ----------
     of : FormulaLaw
         The law.
-    read : bytes
-        All that the law reads, by `read_by`. If it is empty, nothing of the law is kept.
-    cache : bool
-        Whether the compiled code may be kept on disk.
+    made : dict
+        Codes made before, each with what must be kept as long as it is used, by all that it holds of the law:
+        the text of the traced formula, or what numba reads. A new code is added. The key b"" is that of
+        code that calls the law as it stands. Only the first one may be kept on disk.
 
     Returns
     -------
-    code : int, object
-        What `evaluate` takes; and what must be kept as long as the code is used.
-    live : bool
-        Whether it calls the law as it stands, with what that reads then.
+    int
+        What `evaluate` takes.
+    """
+    # traced formula: its text has all numbers that the law reads now
+    if of.slopes is None:
+        with suppress(Exception):  # the user's code may raise anything when it gets symbols
+            source = _exact(of)
+            if source not in made:
+                made[source] = _of_text(source, of, cache=not made)
+            return made[source][0]
+    # otherwise the law's own slopes, or central differences
+    read = read_by(of.law, of.slopes)
+    if read not in made:
+        made[read] = _as_written(of, read, cache=not made)
+    return made[read][0]
+
+
+def _as_written(of: FormulaLaw, read: bytes, cache: bool) -> tuple[int, Any]:
+    """Return code that calls the law.
+
+    It is compiled where it is known what the law reads, and in Python otherwise.
     """
     law, slopes = of.law, of.slopes
-    # traced formula: exact derivatives
-    if slopes is None and read:  # the values that it reads are known
-        with suppress(Exception):  # the user's code may raise anything when it gets symbols
-            return _exact(of, cache), False
-    # otherwise the law's own slopes, or central differences
     source = _by_differences(of) if slopes is None else _by_slopes(of)
     plain = _define(source, {"law": law, "slopes": slopes, "carray": lambda w, n: w}, law)
-    # without numba the law is called in Python
-    if not NUMBA:
-        return code_of(plain), True
-    # numba compiles it; a law that it cannot compile is called in Python
-    try:
-        names = {"law": compiled_law(law), "slopes": None if slopes is None else compiled_law(slopes)}
-        fast = _define(source, {**names, "carray": None}, law, read)
-        return code_of(plain, fast, cache=cache and bool(read)), False
-    except TypeError as error:
-        warn(
-            f"{of.name} cannot be compiled and is called in Python, which is some hundred times slower: "
-            f"{str(error).strip().splitlines()[0]}",
-            RCOWarning,
-        )
-    return code_of(plain), True
+    # numba compiles it; a law that it cannot compile is called in Python, and so are all without numba
+    if NUMBA:
+        try:
+            if not read:
+                raise TypeError("it reads more than numbers, arrays and functions, which may change unseen")
+            names = {"law": compiled_law(law), "slopes": None if slopes is None else compiled_law(slopes)}
+            return code_of(plain, _define(source, {**names, "carray": None}, law, read), cache=cache)
+        except TypeError as error:
+            warn(
+                f"{of.name} cannot be compiled and is called in Python, which is some hundred times slower: "
+                f"{str(error).strip().splitlines()[0]}",
+                RCOWarning,
+            )
+    return code_of(plain)
 
 
 def code_of(
@@ -207,13 +218,13 @@ def _by_differences(of: FormulaLaw) -> str:
     return "\n    ".join(lines)
 
 
-def _exact(of: FormulaLaw, cache: bool) -> tuple[int, Any]:
-    """Code of a law with exact derivatives.
+def _exact(of: FormulaLaw) -> str:
+    """Text of the function with exact derivatives.
 
     Raises
     ------
     Exception
-        Whatever comes of a formula that cannot be traced, or not truly.
+        Whatever comes of a formula that cannot be traced.
     """
     # a symbol for each argument of the law
     tape, traced, slots = Tape(), tracing(of.law), _slots(of)
@@ -240,7 +251,11 @@ def _exact(of: FormulaLaw, cache: bool) -> tuple[int, Any]:
             entries += [f"_out[{slot[which]}] = {tape.finite(slope, one)}" for slot, slope in pairs]
         return lines + entries
 
-    source = "\n    ".join([first, *read, *tape.branches(formula, written)])
+    return "\n    ".join([first, *read, *tape.branches(formula, written)])
+
+
+def _of_text(source: str, of: FormulaLaw, cache: bool) -> tuple[int, Any]:
+    """Code of the text of a traced law, checked against the law."""
     plain = in_python(lambda functions: _define(source, {"math": functions}, of.law))
     # safeguard against a wrong trace: compare with the formula
     if not _agrees(plain, of):
@@ -300,11 +315,10 @@ def _callback(plain: Callable[..., None]) -> tuple[int, Any]:
     Its exceptions are stored, and `raise_pending` raises them.
     """
 
-    def call(
-        d: float, v: float, d0: float, z0: float, p: Any, width: float, w: Any, n: int, out: Any
-    ) -> None:
+    def call(*given: Any) -> None:
+        *taken, w, n, out = given
         try:
-            plain(d, v, d0, z0, p, width, np.array([w[j] for j in range(n)]), n, out)
+            plain(*taken, np.array([w[j] for j in range(n)]), n, out)
         except BaseException as error:
             _PENDING.append(error)
             out[0] = math.nan

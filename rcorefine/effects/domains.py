@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from difflib import get_close_matches
-from functools import cache
 from string import Formatter
 from types import MappingProxyType
 from typing import Any
@@ -203,7 +202,6 @@ def kind_named(name: Any) -> str:
     raise ct.ControlArgument(f"{message}; the kinds are {', '.join(KINDS)}")
 
 
-@cache
 def _kinds_by_name() -> dict[str, str]:
     """Return the kind of each key and of each name in the words of a domain."""
     # keys first; a printed name never replaces one

@@ -112,8 +112,10 @@ class Effect:
         name: str | None = None,
     ) -> None:
         # law given as a class of the user
+        own: Any = None
         if isinstance(law, type) and issubclass(law, Law):
             kind, law = _own_kind(kind, law)
+            own = law
         else:
             kind = kind_named(kind)
         if not isinstance(place, str) or not place.strip():
@@ -123,7 +125,6 @@ class Effect:
             )
         if name is not None:
             as_text(name, f"name of {kind} at {place}")
-        own: Any = law if isinstance(law, type) and issubclass(law, Law) else None
         if law is not None and own is None and not KINDS[kind].needs_law:
             raise ct.ControlArgument(f"law= is for kind 'custom' only (and 'tabulated'), not for {kind!r}")
         # an effect is immutable: its attributes are set once, past __setattr__

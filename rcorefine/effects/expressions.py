@@ -11,10 +11,18 @@ import builtins
 import math
 import operator
 import pickle
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial, reduce
-from types import CellType, CodeType, FunctionType, MethodType, ModuleType, SimpleNamespace
+from types import (
+    BuiltinFunctionType,
+    CellType,
+    CodeType,
+    FunctionType,
+    MethodType,
+    ModuleType,
+    NoneType,
+    SimpleNamespace,
+)
 from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
@@ -22,7 +30,9 @@ import numpy as np
 #: What numpy calls the functions of math, where it is another name.
 OF_NUMPY = {"asin": "arcsin", "acos": "arccos", "atan": "arctan", "asinh": "arcsinh"}
 OF_NUMPY |= {"atan2": "arctan2", "pow": "power"}
-_LIBRARIES = sys.stdlib_module_names | {"numpy", "scipy", "numba"}
+_LIBRARIES = {"builtins", "math", "numpy", "scipy", "rcorefine"}  # numba knows these
+_CONSTANT = {bool, int, float, str, bytes, NoneType}  # what numba takes as it is
+_NUMPY_VALUE = np.generic, np.ndarray
 _QUIET = SimpleNamespace(  # functions of math that return inf and NaN
     **{name: getattr(np, OF_NUMPY.get(name, name), None) for name in dir(math) if not name.startswith("_")}
 )
@@ -490,7 +500,7 @@ def tracing(function: _Function) -> _Function:
     callable
         It raises whatever comes of what cannot be traced.
     """
-    return _Replacing().of(getattr(function, "py_func", function))  # type: ignore[no-any-return]
+    return _Replacing().of(function)  # type: ignore[no-any-return]
 
 
 def as_numbers(values: Any) -> list[Number]:
@@ -515,15 +525,13 @@ class _Replacing:
             return MethodType(self.of(value.__func__), value.__self__)
         if isinstance(value, partial):
             return partial(self.of(value.func), *value.args, **value.keywords)
-        if value is math:
-            return _MATH
-        if value is np:
-            return _NUMPY
         if id(value) in _PYTHON:
             return _PYTHON[id(value)]
-        # functions of math and numpy by name
+        # math and numpy, and their functions by name
         name = str(getattr(value, "__name__", ""))
         for module, stand in ((math, _MATH), (np, _NUMPY)):
+            if value is module:
+                return stand
             if name and vars(module).get(name) is value:
                 return getattr(stand, name)
         value = getattr(value, "py_func", value)
@@ -535,7 +543,7 @@ class _Replacing:
         return self._made[id(value)]
 
     def _function(self, function: FunctionType) -> None:
-        scope = {"__builtins__": builtins, **_REPLACED}
+        scope = {**_REPLACED, **function.__globals__, "__builtins__": builtins}
         cells = tuple(CellType() for _ in function.__closure__ or ())
         # same code, with globals and closures that are replaced
         made = FunctionType(function.__code__, scope, function.__name__, function.__defaults__, cells)
@@ -543,9 +551,8 @@ class _Replacing:
         self._made[id(function)] = made  # before its globals, since it may call itself
         for cell, before in zip(cells, function.__closure__ or (), strict=True):
             cell.cell_contents = self.of(before.cell_contents)
-        for name, value in function.__globals__.items():
-            if name != "__builtins__":
-                scope[name] = self.of(value) if name in _names_in(function) else value
+        for name in _names_in(function) & function.__globals__.keys():
+            scope[name] = self.of(scope[name])
 
 
 def _names_in(function: FunctionType) -> set[str]:
@@ -561,64 +568,64 @@ def _names_in(function: FunctionType) -> set[str]:
 
 
 def read_by(*functions: Any) -> bytes:
-    """Return the code of functions and the values that they read, as bytes.
+    """Return what numba makes constants of in functions, as bytes.
 
-    Constants, tables, variables of closures and attributes of modules and classes count, and helpers with
-    what these read. Libraries do not.
+    That is their code, numbers, strings, tuples and arrays of variables from outside, defaults and attributes
+    of modules, and helpers with what these read. Functions of libraries count by their names.
 
     Parameters
     ----------
-    *functions : callable or None
-        As a user wrote them, or compiled by numba.
+    *functions : object
+        Functions as a user wrote them, or compiled by numba, and values that go with them.
 
     Returns
     -------
     bytes
-        Other ones after any change, the same in each process; empty if a value cannot be written as bytes,
-        or is an object that can be called.
+        Other ones after any change, the same in each process. Empty if they read something else (an object,
+        a class, a dict, a file): its changes cannot be seen.
     """
     found: list[bytes] = []
-    done: set[int] = set()
-    waiting: list[tuple[Any, list[str]]] = [(one, []) for one in functions]
+    done: set[Any] = set()
+    waiting: list[tuple[Any, tuple[str, ...]]] = [(functions, ())]
     while waiting:
         value, names = waiting.pop()
-        # numba's functions: their Python code
-        value = getattr(value, "py_func", value)
-        # functions, modules and classes of the user: their parts
-        if isinstance(value, (FunctionType, MethodType, ModuleType, type)):
-            home = str(getattr(value, "__module__", None) or value.__name__).partition(".")[0]
-            if id(value) not in done and home not in _LIBRARIES:
-                done.add(id(value))
-                waiting += _parts(value, names)
-        # bytecode, its names and constants
+        value = getattr(value, "py_func", value)  # numba's functions: their Python code
+        if type(value) in _CONSTANT or (isinstance(value, _NUMPY_VALUE) and not value.dtype.hasobject):
+            found.append(pickle.dumps(value))
+        elif isinstance(value, tuple):
+            found.append(b"%d" % len(value))
+            waiting += [(one, names) for one in value]
         elif isinstance(value, CodeType):
-            found.append(value.co_code)
-            waiting += [(one, names) for one in (value.co_names, *value.co_consts)]
-        # callables of numpy or numba by name; the values of another callable object are not enough
-        elif callable(value):
-            if not hasattr(value, "__name__"):
-                return b""
+            waiting.append(((value.co_code, value.co_names, value.co_consts), names))
+        elif _of_library(value):
             found.append(value.__name__.encode())
+        elif (key := (id(value), names)) in done:
+            continue
+        # of a module, what the function may read
+        elif isinstance(value, ModuleType):
+            done.add(key)
+            waiting += [(getattr(value, name, None), names) for name in names]
+        # of a function its code, defaults and variables from outside
+        elif isinstance(value, FunctionType) and "getattr" not in (own := tuple(sorted(_names_in(value)))):
+            done.add(key)
+            cells = [cell.cell_contents for cell in value.__closure__ or ()]
+            scope = [value.__globals__.get(name, getattr(builtins, name, None)) for name in own]
+            given = value.__defaults__, *sorted((value.__kwdefaults__ or {}).items())
+            waiting.append(((value.__code__, *given, *cells, *scope), own))
         else:
-            # values by their pickled bytes
-            try:
-                found.append(pickle.dumps(value))
-            except Exception:  # a user's object may raise anything
-                return b""
+            return b""
     return b"".join(found)
 
 
-def _parts(value: Any, names: list[str]) -> list[tuple[Any, list[str]]]:
-    """Return the parts of a function, or those `names` of a module."""
-    if isinstance(value, MethodType):
-        return [(value.__func__, names), (value.__self__, names)]
-    if not isinstance(value, FunctionType):
-        return [(getattr(value, name), names) for name in names if hasattr(value, name)]
-    names = sorted(_names_in(value))
-    parts = [value.__code__, value.__defaults__, value.__kwdefaults__]
-    parts += [cell.cell_contents for cell in value.__closure__ or ()]
-    parts += [value.__globals__[name] for name in names if name in value.__globals__]
-    return [(one, names) for one in parts]
+def _of_library(value: Any) -> bool:
+    """Return whether a value is a function or class of a library.
+
+    Its name is enough. Methods of objects in C are built-in functions as well, but their objects can change.
+    """
+    kinds = FunctionType, BuiltinFunctionType, type, np.ufunc, type(np.interp)
+    home = str(getattr(value, "__module__", "numpy")).partition(".")[0]  # older ones of numpy say nothing
+    bound = getattr(value, "__self__", None)
+    return isinstance(value, kinds) and isinstance(bound, (ModuleType, NoneType)) and home in _LIBRARIES
 
 
 class _Math:
@@ -646,9 +653,8 @@ class _Numpy:
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(np, name)
-        clip = name == "clip"
         # numpy's functions on arrays of objects work entry by entry
-        function = (lambda x, low, high: minimum(maximum(x, low), high)) if clip else as_numpy_calls(name)
+        function = Symbolic.clip if name == "clip" else as_numpy_calls(name)
         if function is not None:
             return partial(_entry_by_entry, function, found)
         if name not in _MAKERS:

@@ -15,7 +15,6 @@ from scipy.interpolate import CubicSpline
 
 from ..systems.linear import Array
 from .compiled import MAX_COEFFICIENTS, address, raise_pending, through
-from .expressions import read_by
 from .law import Law
 
 FADED = 1e-3  # share of the state before a record that may be neglected
@@ -125,10 +124,10 @@ class FormulaLaw(Law):
         return frozenset(self.constants) - frozenset(self.adjustable)
 
     @cached_property
-    def _codes(self) -> dict[bytes, tuple[int, Any]]:
+    def _codes(self) -> dict[str | bytes, tuple[int, Any]]:
         """Codes of the law for each set of values that it has read.
 
-        Kernels may still hold an old one. The key b"" is that of code that calls the law as it stands.
+        `address` adds to them. Kernels may still hold an old one.
         """
         self.checked()
         if not hasattr(self, "law"):
@@ -152,19 +151,15 @@ class FormulaLaw(Law):
 
     @property
     def code(self) -> int:
-        """Code of the law as it is now, valid in this process only."""
-        made, law, slopes = self._codes, self.law, self.slopes
-        if made and str(getattr(law, "__module__", "")).startswith(__package__):
-            return next(iter(made.values()))[0]  # a law of the package reads no variable
-        # the law is compiled anew when constants that it reads have changed
-        read = b"" if b"" in made else read_by(law, slopes)
-        if read not in made:
-            found, live = address(self, read, cache=not made)  # later versions are not cached on disk
-            if not live and read_by(law, slopes) != read:  # the law changes the values that it reads
-                found, live = address(self, b"", cache=False)[0], True
-            read = b"" if live else read
-            made[read] = found
-        return made[read][0]
+        """Code of the law as it is now, valid in this process only.
+
+        What the law reads is compared each time: after a change there is another code.
+        """
+        made = self._codes
+        # a law of the package reads no variable
+        if made and str(getattr(self.law, "__module__", "")).startswith(__package__):
+            return next(iter(made.values()))[0]
+        return address(self, made)
 
     def unseen(self, dt: float, *values: float) -> float:
         """Return the number of samples that depend on the unknown past.

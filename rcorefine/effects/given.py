@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from keyword import iskeyword
-from types import MappingProxyType
+from types import MappingProxyType, MethodType
 from typing import Any
 
 import control as ct
@@ -19,6 +19,7 @@ from ..arguments import as_array
 from ..exceptions import ModelError
 from ..jit import compiled_law, number_at
 from ..systems.linear import Array
+from .compiled import MAX_COEFFICIENTS, forces_along
 from .formula import FormulaLaw, InputLaw, OutputLaw, PortLaw
 from .law import Coefficient, register
 
@@ -60,7 +61,6 @@ class Custom(PortLaw):
         return (custom_law, (self.law, () if self.scaled else self.coefficient_names))
 
 
-@lru_cache(maxsize=256)
 def custom_law(function: Callable[..., Any], names: tuple[str, ...]) -> Custom:
     """Law of a function.
 
@@ -81,6 +81,14 @@ def custom_law(function: Callable[..., Any], names: tuple[str, ...]) -> Custom:
     control.ControlArgument
         If it takes something else.
     """
+    found = _custom_law(function, names)
+    # objects that are equal now may differ later
+    own = found.law is function or isinstance(function, MethodType)
+    return found if own else _custom_law.__wrapped__(function, names)
+
+
+@lru_cache(maxsize=256)
+def _custom_law(function: Callable[..., Any], names: tuple[str, ...]) -> Custom:
     # law with the arguments of this function
     for name in names:  # the names become part of the compiled code
         if not name.isidentifier() or iskeyword(name):
@@ -231,14 +239,15 @@ class Table:
         -------
         ndarray
         """
-        # bilinear interpolation between the knots
-        d, v = np.broadcast_arrays(np.asarray(d, dtype=float), np.asarray(v, dtype=float))
-        i, p = _cells(np.array(self.d), d)
-        j, q = _cells(np.array(self.v), v)
-        force = np.pad(np.array(self.force), ((0, 1), (0, 1)), mode="edge")
-        low = (1 - q) * force[i, j] + q * force[i, j + 1]
-        high = (1 - q) * force[i + 1, j] + q * force[i + 1, j + 1]
-        return np.asarray((1 - p) * low + p * high)
+        # along the motion by the law of the table, per unit of its scale
+        motion = np.array(np.broadcast_arrays(d, v), dtype=float)
+        law, row = _tabulated(Tabulated.name, self), np.zeros((1, MAX_COEFFICIENTS))
+        row[0, :2] = 1.0, law.constants["table"]
+        found = np.zeros((1, motion[0].size))
+        if found.size:
+            x, rate = motion.reshape(2, -1)
+            forces_along(law.code, x, rate, np.zeros((found.size, 0)), row, 1.0, found)
+        return found.reshape(motion.shape[1:])
 
 
 def share_beyond(table: Table, d: Array, v: Array) -> float:
@@ -264,18 +273,6 @@ def share_beyond(table: Table, d: Array, v: Array) -> float:
             slack = 1e-9 * (knots[-1] - knots[0])
             out |= (x < knots[0] - slack) | (x > knots[-1] + slack)
     return float(np.mean(out))
-
-
-def _cells(knots: Array, x: Array) -> tuple[Any, Array]:
-    """Return the cell of each value, and the position inside the cell.
-
-    The outer cells continue beyond the knots.
-    """
-    if knots.size < 2:
-        return np.zeros(x.shape, dtype=int), np.zeros(x.shape)
-    # index of the cell, and position inside of it: below 0 or above 1 beyond the knots
-    cell = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, knots.size - 2)
-    return cell, (x - knots[cell]) / (knots[cell + 1] - knots[cell])
 
 
 @compiled_law

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,17 @@ from ..exceptions import RCOWarning, warn
 from ..jit import NUMBA, compiled_law
 from ..systems.linear import Array
 from .compiled import code_of
-from .expressions import Number, Symbolic, Tape, Untraceable, as_numbers, in_python, is_number, tracing
+from .expressions import (
+    Number,
+    Symbolic,
+    Tape,
+    Untraceable,
+    as_numbers,
+    in_python,
+    is_number,
+    read_by,
+    tracing,
+)
 from .law import Coefficient, Law, nominal_is_left, register
 
 _AFFINE = 1e-12  # relative difference below which a slope equals that of the linear part
@@ -203,14 +214,11 @@ def exact_slopes(functions: RightHandSide, level: Array, nominal: Array) -> Arra
 
     Their shape is (n + n_y, n + n_w). None means that the functions cannot be traced.
     """
-    n, tape = functions.n_states, Tape()
-    names = [f"z{j}" for j in range(level.size)]
     try:
-        z = [tape.symbol(name) for name in names]
         # trace rates and outputs, then run the code of the derivatives at the level
-        rows = functions.traced(z[:n], z[n:], nominal.tolist())
+        tape, z, rows = functions.on_tape(level.size, nominal.tolist())
         slopes = [tape.derivatives(row, z) for row in rows]
-        scope: dict[str, Any] = {"math": math, **dict(zip(names, level.tolist(), strict=True))}
+        scope: dict[str, Any] = {"math": math, **dict(zip(map(tape.name, z), level.tolist(), strict=True))}
         exec("\n".join(tape.code([slope for row in slopes for slope in row])), scope)
         return np.array([[float(eval(tape.name(slope), scope)) for slope in row] for row in slopes])
     except Exception:  # as above
@@ -270,13 +278,8 @@ class RightHandSide:
 
     def __call__(self, x: Array, u: Array, values: Array, t: float = 0.0) -> Array:
         """Rates and outputs in one row, (n + n_y,)."""
-        # parameters by name, together with those that are held
-        params = {**self.others, **dict(zip(self.names, values.tolist(), strict=True))}
-        rates = np.asarray(_plain(self.update)(t, x, u, params), dtype=float).reshape(-1)
-        shown = x[: self.n_outputs]
-        if self.output is not None:
-            shown = np.asarray(_plain(self.output)(t, x, u, params), dtype=float).reshape(-1)
-        return np.concatenate([rates, shown])
+        rows = self._rows(_plain, x, u, values.tolist(), t)
+        return np.concatenate([np.asarray(some, dtype=float).reshape(-1) for some in rows])
 
     def traced(self, x: Sequence[Number], u: Sequence[Number], p: Sequence[Number]) -> list[Number]:
         """Rates and outputs of symbols, see `Tape`.
@@ -288,11 +291,36 @@ class RightHandSide:
         """
         # arrays of objects hold the symbols
         states, inputs = np.array(x, dtype=object), np.array(u, dtype=object)
+        rates, shown = self._rows(tracing, states, inputs, p, 0.0)
+        return as_numbers(rates) + as_numbers(shown)
+
+    def _rows(self, made: _Function, x: Any, u: Any, p: Sequence[Number], t: float) -> tuple[Any, Any]:
+        """Rates and outputs by functions made of those of the system."""
+        # parameters by name, together with those that are held
         params = {**self.others, **dict(zip(self.names, p, strict=True))}
-        rows = as_numbers(tracing(self.update)(0.0, states, inputs, params))
-        if self.output is None:
-            return rows + as_numbers(states[: self.n_outputs])
-        return rows + as_numbers(tracing(self.output)(0.0, states, inputs, params))
+        rates = made(self.update)(t, x, u, params)
+        shown = x[: self.n_outputs] if self.output is None else made(self.output)(t, x, u, params)
+        return rates, shown
+
+    def on_tape(self, n_signals: int, values: Sequence[Number] | None = None) -> tuple[Tape, Any, Any]:
+        """Return a tape, symbols of states and inputs, and the rows of these.
+
+        The rows are rates and outputs. Parameters without `values` are symbols as well.
+
+        Raises
+        ------
+        Exception
+            As `traced`.
+        """
+        tape, n = Tape(), self.n_states
+        z = [tape.symbol(f"z{j}") for j in range(n_signals)]
+        p = [tape.symbol(f"p{c}") for c in range(len(self.names))] if values is None else values
+        return tape, z, self.traced(z[:n], z[n:], p)
+
+    @property
+    def held(self) -> bytes:
+        """Return all that their compiled code holds, see `read_by`."""
+        return read_by(self.update, self.output, *self.others.items())
 
     def compiled(self) -> _Function:
         """Return the compiled function ``f(x, u, values, row)``.
@@ -308,15 +336,11 @@ class RightHandSide:
             f"    params = {{'': True, {entries}{held}}}",
             "    rates = update(0.0, x, u, params)",
             *(f"    row[{i}] = rates[{i}]" for i in range(self.n_states)),
+            "    shown = x" if self.output is None else "    shown = output(0.0, x, u, params)",
+            *(f"    row[{self.n_states + i}] = shown[{i}]" for i in range(self.n_outputs)),
         ]
-        if self.output is None:
-            lines += [f"    row[{self.n_states + i}] = x[{i}]" for i in range(self.n_outputs)]
-        else:
-            lines += ["    shown = output(0.0, x, u, params)"]
-            lines += [f"    row[{self.n_states + i}] = shown[{i}]" for i in range(self.n_outputs)]
         scope: dict[str, Any] = {f"held_{i}": value for i, value in enumerate(self.others.values())}
-        scope |= {"update": compiled_law(self.update)}
-        scope |= {"output": None if self.output is None else compiled_law(self.output)}
+        scope |= {"update": compiled_law(self.update), "output": self.output and compiled_law(self.output)}
         exec("\n".join(lines), scope)
         made: _Function = compiled_law(scope["whole"])
         return made
@@ -352,6 +376,8 @@ class Field:
         Of the states and, behind them, inputs, those on which they hang.
     speed : str
         "compiled" or "Python".
+    exact : bool
+        Whether the functions could be traced.
     """
 
     def __init__(self, of: Remainder) -> None:
@@ -360,6 +386,7 @@ class Field:
         self._plain = fill_of(_tolerant(of.functions), of, lambda function: function)
         # traced code with exact derivatives, or the functions as they are with differences
         found = straight_line(of, self._values)
+        self.exact = found is not None
         everything = np.arange(of.linear.shape[0]), np.arange(of.linear.shape[1])
         self.rows, self.signals = everything if found is None else (found.rows, found.signals)
         self.n_rows, self.n_signals = self.rows.size, self.signals.size
@@ -367,6 +394,19 @@ class Field:
         self._fill = self._plain if found is None else found.made()
         self.speed = "Python"
         self.code, self._keep = self._address(found)
+
+    def read(self, functions: RightHandSide) -> str | bytes:
+        """Return all that the code would hold of functions as they are now.
+
+        It is empty where that is not known: untraceable now, or called in Python.
+        """
+        if not self.exact:
+            return functions.held if self.speed == "compiled" else b""
+        # the text of rates and outputs has all numbers that the functions read
+        with suppress(Exception):  # as above
+            tape, _, rows = functions.on_tape(self._of.level.size)
+            return "\n".join([*tape.code(rows), *map(tape.name, rows)])
+        return b""
 
     def _values(self, z: Array, p: Array) -> Array:
         """All rows by the functions as they were written."""
@@ -377,13 +417,16 @@ class Field:
     def _address(self, found: StraightLine | None) -> tuple[int, Any]:
         q, z, shape, fill = self.nominal.size, self.n_signals, (self.n_rows, self.n_columns), self._fill
 
-        def plain(d: Any, v: Any, d0: Any, z0: Any, p: Any, want: float, w: Any, nw: int, out: Any) -> None:
+        def plain(*given: Any) -> None:
+            *_, p, want, w, _, out = given
             fill(_row(p, q), np.array(w[:z]), want, _row(out, shape[0] * shape[1]).reshape(shape))
 
         if NUMBA:
             # compiled where numba can, in Python otherwise
             try:
                 if found is None:
+                    if not self.functions.held:
+                        raise TypeError("they read more than numbers, arrays and functions")
                     fast = fill_of(self.functions.compiled(), self._of, compiled_law)
                     self._compare(fast)
                 else:
@@ -512,29 +555,18 @@ def fill_of(whole: _Function, of: Remainder, made: _Function) -> _Function:
             out[i, 1] = abs(at[i]) + abs(straight)
         if want < 1.0:
             return
-        # derivatives by the signals: central differences
-        moved = z.copy()
-        for j in range(signals):
-            h = 1e-5 * max(abs(level[j] + z[j]), 1e-4)
-            moved[j] = z[j] + h
-            remainder(moved, p, up)
-            moved[j] = z[j] - h
-            remainder(moved, p, low)
-            moved[j] = z[j]
+        # derivatives by the signals, then by the parameters: central differences
+        moved = np.concatenate((z, p))
+        for j in range(signals if want < 2.0 else moved.size):
+            here = moved[j]
+            size = max(abs(level[j] + here), 1e-4) if j < signals else abs(here) if here != 0.0 else 1e-2
+            moved[j] = here + 1e-5 * size
+            remainder(moved[:signals], moved[signals:], up)
+            moved[j] = here - 1e-5 * size
+            remainder(moved[:signals], moved[signals:], low)
+            moved[j] = here
             for i in range(rows):
-                out[i, 2 + j] = (up[i] - low[i]) / (2.0 * h) - linear[i, j]
-        if want < 2.0:
-            return
-        # derivatives by the parameters: central differences
-        other = p.copy()
-        for c in range(p.size):
-            h = 1e-5 * (abs(p[c]) if p[c] != 0.0 else 1e-2)
-            other[c] = p[c] + h
-            remainder(z, other, up)
-            other[c] = p[c] - h
-            remainder(z, other, low)
-            other[c] = p[c]
-            for i in range(rows):
-                out[i, 2 + signals + c] = (up[i] - low[i]) / (2.0 * h)
+                straight = linear[i, j] if j < signals else 0.0
+                out[i, 2 + j] = (up[i] - low[i]) / (2e-5 * size) - straight
 
     return made(fill)  # type: ignore[no-any-return]

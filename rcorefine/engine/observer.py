@@ -16,7 +16,7 @@ from ..systems.linear import Array, balance
 from .controlled import integrates, open_loop, own_states, runs_away
 from .engine import Engine
 from .point import about_point
-from .structure import Structure
+from .structure import Kept, Structure
 
 _ROUNDING, _NOTHING = 1e-12, 1e-100  # spread of an output that rests: relative, and in any unit
 _ROUNDS = 100
@@ -244,8 +244,7 @@ _DIES_OUT = 1e-3  # share of its largest effect to which an error of the initial
 _FOLLOWS = 5.0  # multiple of the error of the strongest observer above which the observer lost the motion
 _BALANCED = 30  # sweeps over the states
 _LARGEST = 30.0  # log of a growth at which the sum can stop
-_KEPT = 64
-_KNOWN: dict[tuple[int, float, bytes, bytes], tuple[object, float | None]] = {}
+_RATIOS = Kept(64)  # by model and record
 
 
 def leading_gain(structure: Structure, data: Measurement) -> Array | None:
@@ -300,16 +299,9 @@ def steadying_ratio(model: PhysicalModel, record: Measurement) -> float | None:
     record : Measurement
         Channels in the order of the model, values above its operating point.
     """
-    point = model.operating_point
-    field = None if point is None else point.field
-    key = (id(field), record.dt, record.inputs.tobytes(), record.outputs.tobytes())
-    known = _KNOWN.get(key)
-    if known is None:
-        while len(_KNOWN) >= _KEPT:
-            _KNOWN.pop(next(iter(_KNOWN)), None)  # another thread may have removed it
-        # keep a reference to the field, so that its id is not reused
-        known = _KNOWN[key] = (field, _find_ratio(open_loop(Structure(model)), record))
-    return known[1]
+    key = (id(model), record.dt, record.hold, record.inputs.tobytes(), record.outputs.tobytes())
+    # the model is kept as well, so that its id is not used again
+    return _RATIOS(key, lambda: (model, _find_ratio(open_loop(Structure(model)), record)))[1]
 
 
 def _find_ratio(bare: Structure, record: Measurement) -> float | None:

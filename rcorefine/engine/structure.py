@@ -307,7 +307,8 @@ class Structure:
         for row, index in enumerate(self._port_effects):
             law = self.effects[index].spec
             assert isinstance(law, PortLaw)
-            codes[row] = law.code
+            # read once: a law of the user is looked through each time
+            codes[row] = self.kept(("code", index), partial(getattr, law, "code"))
             found = self.law_values(theta, index)
             values[row, : len(found)] = found
             values[row, MAX_COEFFICIENTS:] = law.feels_inputs, law.jumps, law.remembers

@@ -28,8 +28,7 @@ from .parameters import NominalParameter, combine_units
 from .physical_model import PhysicalModel
 from .ports import Port
 
-_TIMES = (0.0, 1.7)  # times at which an autonomous model gives the same rates
-_KNOWN: WeakKeyDictionary[Any, tuple[dict[str, Any], PhysicalModel]] = WeakKeyDictionary()
+_KNOWN: WeakKeyDictionary[Any, Any] = WeakKeyDictionary()  # models, and what they hold
 
 
 def is_nonlinear(model: Any) -> bool:
@@ -43,12 +42,31 @@ def is_nonlinear(model: Any) -> bool:
 def as_known(system: ct.NonlinearIOSystem) -> PhysicalModel:
     """Return the physical model of a system without declarations.
 
-    It is made only once, because its functions are compiled.
+    Its functions are compiled, so it is made anew only if the system, or what its functions read, has changed
+    since, or if that cannot be known.
     """
-    held = _KNOWN.get(system)
-    if held is None or held[0] != system.params:
-        _KNOWN[system] = held = (dict(system.params), from_nonlinear(system))
-    return held[1]
+    model, before = _KNOWN.get(system, (None, None))
+    if not before or _held(system, model) != before:
+        model = from_nonlinear(system)
+        _KNOWN[system] = model, _held(system, model)
+    return model  # type: ignore[no-any-return]
+
+
+def _held(system: ct.NonlinearIOSystem, model: Any) -> Any:
+    """Return what a model would hold of its system as it is now.
+
+    It is empty if that is not known.
+    """
+    read = model.operating_point.field.read(_functions(system))
+    return read and (read, repr(vars(system)))
+
+
+def _functions(system: ct.NonlinearIOSystem) -> RightHandSide:
+    # numbers among the parameters may be estimated, other values are held
+    names = tuple(k for k, v in system.params.items() if isinstance(v, Real) and not isinstance(v, bool))
+    others = {k: v for k, v in system.params.items() if k not in names}
+    n, ny = system.nstates, system.noutputs
+    return RightHandSide(system.updfcn, system.outfcn, names, others, n, ny, f"{system.name!r}")
 
 
 def from_nonlinear(
@@ -87,21 +105,21 @@ def from_nonlinear(
             "name them: control.nlsys(..., states=[...], inputs=[...], outputs=[...])"
         )
     n, nw, ny = system.nstates, system.ninputs, system.noutputs
-    # numbers among the parameters may be estimated, other values are held
-    names = tuple(k for k, v in system.params.items() if isinstance(v, Real) and not isinstance(v, bool))
-    others = {k: v for k, v in system.params.items() if k not in names}
-    functions = RightHandSide(system.updfcn, system.outfcn, names, others, n, ny, f"{system.name!r}")
-    nominal = np.array([float(system.params[name]) for name in names])
-    inputs, outputs, states = map(tuple, (system.input_labels, system.output_labels, system.state_labels))
-    L = np.zeros((n + ny, n + nw))
-    bare = LinearModel(
-        L[:n, :n], L[:n, n:], L[n:, :n], L[n:, n:], 0, inputs, outputs, states, str(system.name)
+    functions = _functions(system)
+    # the numbers are the parameters of the model
+    numbers = tuple(
+        NominalParameter(name, float(system.params[name]), "", ModelParameter.name, name)
+        for name in functions.names
     )
+    nominal = np.array([q.value for q in numbers])
+    A, B, C, D = (np.zeros((rows, columns)) for rows in (n, ny) for columns in (n, nw))
+    labels = system.input_labels, system.output_labels, system.state_labels
+    bare = LinearModel(A, B, C, D, 0, *map(tuple, labels), system.name)  # type: ignore[call-arg, arg-type]
     # linearize about the declared point, or about the origin
     given = {"inputs": np.zeros(nw), "states": np.zeros(n)} if operating_point is None else operating_point
     point = as_operating_point(given, bare)
     level = np.concatenate([point.states, point.inputs])
-    here = _check_rates(functions, level, nominal, operating_point is None)
+    here = _check_rates(functions, level, nominal)
     # slopes: exact ones where the functions can be traced and agree with differences
     L, exact = _slopes(functions, level, nominal), exact_slopes(functions, level, nominal)
     if not np.isfinite(L).all():
@@ -116,22 +134,17 @@ def from_nonlinear(
     # linear part of the outputs without the rates that they read, as the field takes it
     straight = np.vstack([L[:n], np.hstack([model.output_state, model.output_input])])
     field = Field(Remainder(functions, nominal, level, straight, model.output_rate, point.outputs))
-    # the numbers are the parameters of the model
-    numbers = tuple(
-        NominalParameter(name, value, "", ModelParameter.name, name)
-        for name, value in zip(names, nominal.tolist(), strict=True)
-    )
     return replace(model, parameters=numbers, operating_point=replace(point, field=field))
 
 
-def _check_rates(functions: RightHandSide, level: Array, nominal: Array, origin: bool) -> Array:
+def _check_rates(functions: RightHandSide, level: Array, nominal: Array) -> Array:
     """Return rates and outputs at a point, after checks.
 
     They must not depend on time, and there must be as many as declared.
     """
     n = functions.n_states
     # autonomous: the same rates at two times
-    first, later = (functions(level[:n], level[n:], nominal, t) for t in _TIMES)
+    first, later = (functions(level[:n], level[n:], nominal, t) for t in (0.0, 1.7))
     if first.size != n + functions.n_outputs:
         raise ModelError(
             f"the functions of {functions.label} give {first.size} numbers for {n} states and "
@@ -164,14 +177,13 @@ def _slopes(functions: RightHandSide, level: Array, nominal: Array) -> Array:
             up, low = (functions((level + s)[:n], (level + s)[n:], nominal) for s in (step, -step))
         return (up - low) / (2.0 * h)
 
-    steps = enumerate(1e-3 * np.maximum(np.abs(level), 1.0))
     # Richardson extrapolation: (4 D(h/2) - D(h)) / 3
-    columns = [(4.0 * central(j, 0.5 * h) - central(j, h)) / 3.0 for j, h in steps]
-    found = np.column_stack(columns)
+    steps = 1e-3 * np.maximum(np.abs(level), 1.0)
+    found = np.column_stack([(4.0 * central(j, 0.5 * h) - central(j, h)) / 3.0 for j, h in enumerate(steps)])
     size = np.abs(found).max(axis=1, initial=0.0, keepdims=True)
     # rounding becomes zero, the rest is rounded to ten digits
     found[np.abs(found) < 1e-9 * size] = 0.0
-    digits = np.where(found == 0.0, 0.0, 9 - np.floor(np.log10(np.abs(np.where(found == 0, 1.0, found)))))
+    digits: Array = 9.0 - np.floor(np.log10(np.abs(found) + (found == 0.0)))
     return np.round(found * 10.0**digits) / 10.0**digits
 
 
@@ -218,7 +230,7 @@ def as_physical(model: Any, *, dt: float | None = None) -> PhysicalModel:
     """
     if dt is not None:
         check_sampling_time(dt)
-    known = as_known(model) if is_nonlinear(model) else known_physical(model)
+    known = known_physical(as_model(model))
     return PhysicalModel.from_statespace(model, dt=dt) if known is None else known
 
 
@@ -342,6 +354,7 @@ def physical(
     Returns
     -------
     PhysicalModel
+        Of a nonlinear system with the numbers that its functions read now; after a change call it again.
         What was declared, and beside it what the matrices tell; see `PhysicalModel.from_statespace`.
 
     Raises
