@@ -62,7 +62,8 @@ def package(fit: Any, physical: PhysicalModel, note: str, records: Sequence[Any]
     covariance = unsure.covariance[:p, :p]
     spread = standard_deviations(covariance)
     # offsets with a prior, which a record need not distinguish
-    settled = np.isfinite(problem.prior_sd) & [row.role == "offset" for row in fit.table]
+    offsets = np.array([row.role == "offset" for row in fit.table], dtype=bool)
+    settled = np.isfinite(problem.prior_sd) & offsets
     names = [q.label for q in structure.parameters]
     found = tuple(unseen_combinations(unsure, theta, names, spread, settled))
     for sentence in found:
@@ -92,7 +93,7 @@ def package(fit: Any, physical: PhysicalModel, note: str, records: Sequence[Any]
         residual_orders=problem.whitener(residuals).orders,
         led=any(engine.lead is not None for engine in problem.engines),
         success=result.converged,
-        message=f"{message} {note}".rstrip(),
+        message=f"{message} {note}".strip(),
         warnings=found,
         of_responses=not problem.in_time,
         records=tuple(records),
