@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from ..data.measurement import Measurement
+from ..data.signals import spreads
 from ..data.welch import estimate_frequency_response
 from ..engine.linear import observed
 from ..engine.observer import steady_filter
@@ -118,17 +118,16 @@ def model_error(
     """
     # frequency response from the inputs to the residual, with its standard deviation
     data = comparison.seen_by(model)
-    residual = Measurement(
-        data.inputs, data.outputs - comparison.runs[model], dt=data.dt, hold=data.hold,
-        input_labels=data.input_labels, output_labels=data.output_labels,
-    )  # fmt: skip
+    residual = data._changed(outputs=data.outputs - comparison.runs[model])
     found = estimate_frequency_response(residual, segment_length=segment_length)
     free = 2.0 * (found.n_averages - data.n_inputs)
     # std is that of one component: the squared radius over 2 std^2 follows F
-    radius = found.std * np.sqrt(2.0 * stats.f.ppf(0.95, 2, free))
+    rounding = np.spacing(spreads(data.outputs)[:, None] / spreads(data.inputs))  # of a response
+    std = np.asarray(found.std).clip(rounding[:, :, None])
+    radius = std * np.sqrt(2.0 * stats.f.ppf(0.95, 2, free))
     count = found.response.size
     # simultaneous band: Sidak's correction over all points
-    wide = found.std * np.sqrt(2.0 * stats.f.isf(1.0 - 0.95 ** (1.0 / count), 2, free))
+    wide = std * np.sqrt(2.0 * stats.f.isf(1.0 - 0.95 ** (1.0 / count), 2, free))
     seen = as_sampled(comparison.models[model], data.dt, data.hold)
     response = frequency_response(seen, found.omega)
     return ErrorResponse(comparison.names[model], found.omega, found.response, response, radius, wide)
@@ -225,7 +224,7 @@ def _gain(Phi: Array, drive: Array, C: Array, residual: Array, scene: ModelOnRec
     size = root_mean_square(scene.states)
     size = np.where(size > 0, size, max(float(size.max(initial=0.0)), 1.0))
     # noise covariances: unknown input of this level, and a little on every state
-    moved = drive * np.maximum(scene.data.inputs.std(axis=1), 1e-300)
+    moved = drive * spreads(scene.data.inputs)
     best: tuple[float, Array] | None = None
     for level in _LEVELS:
         Q = level**2 * (moved @ moved.T) + (1e-3 * level) ** 2 * np.diag(size**2)

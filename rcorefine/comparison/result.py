@@ -10,6 +10,7 @@ import numpy as np
 
 from ..arguments import as_whole, shown
 from ..data.measurement import Measurement
+from ..inference.refinement import percent
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array, LinearModel
 from .failure_map.frequency import LineLevels, line_levels
@@ -279,8 +280,8 @@ class Comparison(Result):
 
     def __repr__(self) -> str:
         fits = np.atleast_2d(self.fit).mean(axis=1)
-        listed = ", ".join(f"{name!r} {fit:.1f} %" for name, fit in zip(self.names, fits, strict=True))
-        return f"<Comparison on {self.data.name!r}: {listed}>"
+        listed = [f"{name!r} {percent(fit, fit)}" for name, fit in zip(self.names, fits, strict=True)]
+        return f"<Comparison on {self.data.name!r}: {', '.join(listed)}>"
 
 
 def failures_of(result: Comparison, index: int = 0) -> FailureMap:

@@ -51,10 +51,9 @@ def fit_percent(measured: ArrayLike, simulated: ArrayLike) -> Array:
     # norm of the output about its mean
     spread = np.linalg.norm(y - y.mean(axis=-1, keepdims=True), axis=-1)
     error = np.linalg.norm(y - yh, axis=-1)
-    spread = np.broadcast_to(spread, error.shape)
     # a constant output has no fit
-    constant = np.broadcast_to((y == y[..., :1]).all(axis=-1), error.shape)
-    ratio = np.divide(error, spread, out=np.full(error.shape, np.nan), where=~constant)
+    moves = (y != y[..., :1]).any(axis=-1)
+    ratio = np.divide(error, spread, out=np.full(error.shape, np.nan), where=moves)
     return np.asarray(100.0 * (1.0 - ratio))
 
 

@@ -645,14 +645,12 @@ class Measurement(Result, RecordReaders, TimeRecord):
             raise DataError(
                 f"{self.name!r} has hold {self.hold!r}, {other.name!r} {other.hold!r}: use with_hold()"
             )
-        n, m = self.inputs.shape[0], other.inputs.shape[0]
+        n, m = self.n_inputs, other.n_inputs
         origin = [self.origin[:n], other.origin[:m], self.origin[n:], other.origin[m:]]
         fields = ("input_labels", "output_labels", "input_units", "output_units", "notes")
         both = {field: (*getattr(self, field), *getattr(other, field)) for field in fields}
-        signals = {
-            field: np.vstack([getattr(self, field), getattr(other, field)]) for field in ("inputs", "outputs")
-        }
-        return self._changed(**both, **signals, origin=np.concatenate(origin))
+        w, y = np.vstack([self.inputs, other.inputs]), np.vstack([self.outputs, other.outputs])
+        return self._changed(**both, inputs=w, outputs=y, origin=np.concatenate(origin))
 
     def decimate(self, factor: int) -> Self:
         """Every `factor`-th sample, behind a filter that keeps the model true.
@@ -752,16 +750,14 @@ def released(outputs: Array) -> int:
     """
     rest = np.median(outputs[:, -max(outputs.shape[1] // 5, 1) :], axis=1, keepdims=True)
     away = np.abs(outputs - rest)
-    largest = away.max(axis=1)
-    if not largest.any():
-        return 0
     firsts = []
-    for row, top in zip(away[largest > 0], largest[largest > 0], strict=True):
-        peak = int(np.argmax(row >= _HELD * top))
-        below = np.flatnonzero(row[peak:] < _HELD * top)
+    for row in away[away.any(axis=1)]:
+        held = row >= _HELD * row.max()
+        peak = int(np.argmax(held))
+        below = np.flatnonzero(~held[peak:])
         swing = row[peak : peak + int(below[0])] if below.size else row[peak:]
         firsts.append(peak + int(np.flatnonzero(swing >= _TOP * swing.max())[-1]))
-    return min(firsts)
+    return min(firsts, default=0)
 
 
 def _units(values: Any, what: str, count: int) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from ..exceptions import DataError
 from ..systems.linear import Array
 from .measurement import Measurement
 from .response_record import as_responses
+from .signals import spreads
 
 MOST_LEVELS = 3  # levels of a record that are told apart
 _BLOCKS = 24  # pieces of a record whose level is looked at
@@ -146,8 +147,7 @@ def stretches_by_level(data: Measurement) -> list[tuple[float, Measurement]]:
     [(1, 2000), (5, 2000)]
     """
     n, centered = data.n_samples, data.inputs - data.inputs.mean(axis=1, keepdims=True)
-    scale = centered.std(axis=1, keepdims=True)
-    relative = np.divide(centered, scale, out=np.zeros_like(centered), where=scale > 0)
+    relative = centered / spreads(data.inputs)[:, None]
     edges = np.linspace(0, n, min(_BLOCKS, max(1, n // 64)) + 1).round().astype(int)
     power = np.array([np.mean(relative[:, a:b] ** 2) for a, b in pairwise(edges)])
     whole = [(_level(data), data)]
@@ -193,9 +193,8 @@ def resolution(y: Array) -> float:
 
     It is the step of the converter; without a converter it is close to zero.
     """
-    levels = np.unique(y)
-    apart = np.diff(levels)
-    apart = apart[apart > _SAME * float(np.ptp(y))]
+    apart = np.diff(np.unique(y))
+    apart = apart[apart > _SAME * np.ptp(y)]
     return float(apart.min()) if apart.size else 0.0
 
 

@@ -83,8 +83,8 @@ def default_labels(prefix: str, count: int) -> tuple[str, ...]:
     return tuple(f"{prefix}[{index}]" for index in range(count))
 
 
-#: Sizes of signals between which squares, and their ratios, are numbers.
-SMALLEST, LARGEST = 1e-100, 1e100
+#: Sizes of signals between which sums of their fourth powers, and ratios of squares, are numbers.
+SMALLEST, LARGEST = 1e-70, 1e70
 
 
 def check_sizes(signals: Array, labels: Sequence[str], what: str, smallest: float = SMALLEST) -> None:
@@ -94,6 +94,22 @@ def check_sizes(signals: Array, labels: Sequence[str], what: str, smallest: floa
             raise DataError(
                 f"{what} {label!r} reaches {size:.3g}, whose square is no number; give it in another unit"
             )
+
+
+def spreads(signals: Array) -> Array:
+    """Return the standard deviation of each signal, shape (n,) for (n, N).
+
+    Of a constant signal it is the level, and 1 of one that is zero: weights and noise levels are relative to
+    it, and the rounding of a mean is no size.
+
+    Examples
+    --------
+    >>> print(spreads(np.array([[1.0, -1.0], [0.1, 0.1], [0.0, 0.0]])))
+    [1.  0.1 1. ]
+    """
+    size, level = signals.std(axis=1), np.abs(signals).max(axis=1)
+    found: Array = np.where(size > 8 * np.spacing(level), size, level) + (level == 0)
+    return found
 
 
 def check_finite(signals: Array, labels: Sequence[str], times: Array | None, what: str) -> None:

@@ -114,7 +114,7 @@ def estimate_frequency_response(
     inverse = np.linalg.inv(s_ww)
     response = s_yw @ inverse
     explained = np.einsum("fij,fij->fi", response, s_yw.conj()).real
-    coherence = np.clip(np.divide(explained, s_yy, out=np.zeros_like(s_yy), where=s_yy > 0), 0.0, 1.0)
+    coherence = np.clip(explained / np.maximum(s_yy, 1e-300), 0.0, 1.0)
     noise = np.maximum(s_yy - explained, 0.0) / (averages - data.n_inputs)
     variance = noise[:, :, None] * np.einsum("fii->fi", inverse).real[:, None, :]
     return FrequencyResponse(

@@ -428,5 +428,5 @@ def _follows(new: Array, past: Array, first: int) -> tuple[float, float]:
     sums = np.array([p.sum() for p in products])
     # each product over its own size: chi-square with one degree per lag
     z = sums / np.maximum([np.linalg.norm(p) for p in products], 1e-300)
-    most = np.abs(sums).max() / (np.linalg.norm(new) * np.linalg.norm(past))
+    most = np.abs(sums).max() / max(np.linalg.norm(new) * np.linalg.norm(past), 1e-300)
     return float(stats.chi2.sf(float(z @ z), _LAGS)), float(most)

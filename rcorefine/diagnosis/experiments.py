@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import as_flag, as_list, as_mapping, as_number, as_share, as_texts, as_vector, shown
 from ..data.measurement import Measurement
+from ..data.signals import spreads
 from ..engine.engine import Engine
 from ..engine.observer import leading_gain
 from ..exceptions import DivergenceError
@@ -221,9 +222,9 @@ class _Judge:
 
     def _sensor_noise(self, row: Array) -> float:
         """Return the noise of a new sensor, relative to its signal as the others."""
-        spread = np.concatenate([r.outputs for r in self.records], axis=1).std(axis=1)
+        spread = spreads(np.concatenate([r.outputs for r in self.records], axis=1))
         # median noise-to-signal ratio of the present outputs
-        relative = float(np.median(self.levels / np.where(spread > 0, spread, 1.0)))
+        relative = float(np.median(self.levels / spread))
         signal = row @ self._states(self.records[0])[: row.size]
         return relative * (float(np.std(signal)) or 1.0)
 

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import schur
 
+from ..data.signals import spreads
 from ..gauss_newton import Rows, gauss_newton
 from ..systems.discretization import exponential
 from ..systems.linear import Array
 from .engine import Engine
-from .observer import observer_gain, output_scales
+from .observer import observer_gain
 from .structure import Structure
 
 _RATIOS = (0.1, 0.01)  # observer gains on the way to the free run, high to low
@@ -115,9 +116,8 @@ def estimate_initial_state(
         Gauss-Newton estimate (exact in one step for a linear model); directions
         that the record cannot see stay at zero, and `brief_modes` where they move.
     """
-    y = engine.data.outputs
     if weights is None:
-        weights = output_scales(y)
+        weights = 1.0 / spreads(engine.data.outputs)
     judged = engine.judged(theta)
     weights = weights[:, None] * (judged if use is None else judged & use.T)
     calm = theta.copy()

@@ -9,6 +9,7 @@ from scipy.linalg import LinAlgError, solve_discrete_are
 
 from ..data.measurement import Measurement
 from ..data.records import FreeRun
+from ..data.signals import spreads
 from ..exceptions import ModelError
 from ..models.physical_model import PhysicalModel
 from ..systems.discretization import exponential
@@ -18,19 +19,8 @@ from .engine import Engine
 from .point import about_point
 from .structure import Kept, Structure
 
-_ROUNDING, _NOTHING = 1e-12, 1e-100  # spread of an output that rests: relative, and in any unit
 _ROUNDS = 100
 _HORIZON = 300  # samples of the Riccati recursion, where no steady solution exists
-
-
-def output_scales(outputs: Array) -> Array:
-    """Return one over the standard deviation of each output (n_y, N).
-
-    It is 1 for an output that does not move by more than rounding.
-    """
-    spread = outputs.std(axis=1)
-    moves = spread > np.maximum(_ROUNDING * np.abs(outputs).max(axis=1), _NOTHING)
-    return np.asarray(1.0 / np.where(moves, spread, 1.0))
 
 
 def observer_gain(
@@ -75,13 +65,13 @@ def observer_gain(
     # linearize about the operating point
     A, B, C, _ = about_point(structure, theta.astype(float))
     nw, n = structure.n_inputs, structure.n_states
-    if not n:
+    if not n:  # a static gain
         return np.zeros((0, structure.n_outputs))
     # sizes of inputs and outputs: rms and standard deviation of the record
     level = np.sqrt(np.mean(data.inputs**2, axis=1))
     level = np.where(level > 0, level, 1.0)
-    scales = output_scales(data.outputs)
-    G, C = B[:, :nw] * level, C * scales[:, None]
+    spread = spreads(data.outputs)
+    G, C = B[:, :nw] * level, C / spread[:, None]
     units = _units(A * data.dt, G, C)  # units of the user may differ by orders of magnitude
     A, G, C = A * units / units[:, None], G / units[:, None], C * units
     drives = list(G.T)
@@ -113,11 +103,11 @@ def observer_gain(
         Q = gamma @ gamma.T
     else:
         Q = Q * data.dt
-    R = noise**2 * np.eye(scales.size)
+    R = noise**2 * np.eye(spread.size)
     size = np.sqrt(np.maximum(np.diag(Q), 1e-12 * np.trace(Q) / n + 1e-300))
     A = Phi * size / size[:, None]  # unit-size states keep the Riccati equation well scaled
     Qs = Q / np.outer(size, size) + 1e-12 * np.eye(n)
-    return np.asarray(steady_filter(A, C * size, Qs, R).gain * (units * size)[:, None] * scales)
+    return np.asarray(steady_filter(A, C * size, Qs, R).gain * (units * size)[:, None] / spread)
 
 
 def _units(A: Array, G: Array, C: Array) -> Array:

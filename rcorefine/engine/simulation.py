@@ -14,6 +14,7 @@ from ..arguments import as_state
 from ..data.channels import match_channels, record_for, resting_inputs
 from ..data.measurement import Measurement
 from ..data.records import as_record
+from ..data.signals import spreads
 from ..effects.effect import Effect, as_effects
 from ..exceptions import DivergenceError, ModelError
 from ..gauss_newton import Rows, gauss_newton, own_sizes
@@ -26,7 +27,7 @@ from .engine import Engine
 from .initial_state import estimate_initial_state
 from .inputs import interpolate_band_limited, straight_lines
 from .linear import recursion, unit_responses
-from .observer import leading_gain, output_scales
+from .observer import leading_gain
 from .structure import Structure
 
 _TRUE = 16  # substeps of a sample where effects of known size act
@@ -356,7 +357,7 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
         raise DivergenceError(f"its state leaves all bounds within {data.n_samples} samples")
     if start is None:
         # least squares: outputs are affine in the initial state
-        weights = output_scales(data.outputs)
+        weights = 1.0 / spreads(data.outputs)
         slopes = np.einsum("y,yi,kij->ykj", weights, model.C, unit).reshape(-1, model.n_states)
         error = (weights[:, None] * (forced - data.outputs)).ravel()
         start = gauss_newton(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..data.measurement import Measurement
+from ..data.signals import spreads
 from ..effects.effect import Effect
 from ..engine.observer import existing_gain
 from ..engine.point import linearized
@@ -250,8 +251,8 @@ def fitted_from(
     else:
         level = refinement.rmse
     # an exact record has a tiny noise level, not none
-    spread = np.concatenate([r.outputs for r in records], axis=1).std(axis=1)
-    weights = 1.0 / np.maximum(level, 1e-12 * np.where(spread > 0, spread, 1.0))
+    spread = spreads(np.concatenate([r.outputs for r in records], axis=1))
+    weights = 1.0 / np.maximum(level, 1e-12 * spread)
     # weights are one over the noise level
     problem = made(weights)
     return FittedModel(refinement, problem, problem.pack(theta, refinement.initial_states), tolerance)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..arguments import as_noise
 from ..data.measurement import Measurement
+from ..data.signals import spreads
 from ..engine.amplitude_response import engine_on
 from ..engine.engine import Engine
 from ..engine.initial_state import estimate_initial_state
@@ -36,8 +37,7 @@ def output_weights(
     if declared is not None:
         return 1.0 / declared
     # before a fit: standard deviation of each output
-    spread = np.concatenate([record.outputs for record in records], axis=1).std(axis=1)
-    spread = np.where(spread > 0, spread, 1.0)
+    spread = spreads(np.concatenate([record.outputs for record in records], axis=1))
     if problem is None or point is None:
         return 1.0 / spread
     # after a fit: rms of the residual, but no less than rounding

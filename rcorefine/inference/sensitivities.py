@@ -293,6 +293,8 @@ def force_responses(
     A, C0 = fitted.linearized()
     linear = structure.linear_model
     n, n0 = structure.n_states, linear.n_states
+    if not forces:  # a model without places
+        return np.zeros((structure.n_outputs, data.n_samples, 0))
     names = list(dict.fromkeys(name for name, _ in forces))
     places = {port.name for port in structure.model.ports}
     # a force at a place, or a signal added to an input
@@ -300,7 +302,7 @@ def force_responses(
         ports = [structure.model.port(name) for name in names]
         pairs = [(port.act, felt(port, structure.model.output_rate)) for port in ports]
     else:
-        pairs = [(linear.B[:, j], linear.D[:, j]) for j in map(list(linear.input_labels).index, names)]
+        pairs = [(linear.B[:, j], linear.D[:, j]) for j in map(linear.input_labels.index, names)]
     unique = np.column_stack([np.pad(act, (0, n - n0)) for act, _ in pairs])
     through = np.column_stack([column for _, column in pairs])
     # forces run straight between the samples, inputs as their hold says
@@ -308,7 +310,7 @@ def force_responses(
     # controller in the loop: its states jump at the samples
     jumps = sample_jumps(structure, data.dt)
     Phi = jumps @ Phi if jumps.size else Phi
-    where = np.array([names.index(name) for name, _ in forces])
+    where = [names.index(name) for name, _ in forces]
     drives, F = (G0[:, where], G1[:, where]), np.array([force for _, force in forces]).T  # (N, k)
     # responses from rest, in units of the noise
     out = linear_responses(Phi, drives, C0, through[:, where], F, gain=gain)

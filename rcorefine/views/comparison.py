@@ -268,6 +268,7 @@ def plot_horizon(result: Comparison, frame: Frame) -> ct.ControlPlot:
                     label=("observer" if result.led else "simulation") if m == 0 else None,
                 )  # fmt: skip
             label = unit_text(f"RMSE of {data.output_labels[i]}", data.output_units[i])
-            axis.set(xscale="log", yscale="log", ylabel=label)
+            scale = "log" if found.rmse[:, i].any() else "linear"  # no error has no logarithm
+            axis.set(xscale="log", yscale=scale, ylabel=label)
         axes[-1, 0].set_xlabel("Prediction horizon [s]")
         return frame.finish(axes, lines, f"Error against prediction horizon, record {data.name}")

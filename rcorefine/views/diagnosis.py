@@ -209,8 +209,9 @@ def plot_diagnosis(found: Diagnosis, frame: Frame) -> ct.ControlPlot:
 def _channel_curve(ax: Any, found: Diagnosis, record: Measurement) -> list[Any]:
     """Draw the tabulated curve of a channel, and the straight line."""
     effect: Any = found.law()
-    unit = dict(zip(record.input_labels, record.input_units, strict=True))
-    unit |= dict(zip(record.output_labels, record.output_units, strict=True))
+    linear = found.base.physical_model.linear
+    unit = dict(zip(linear.input_labels, record.input_units, strict=True))
+    unit |= dict(zip(linear.output_labels, record.output_units, strict=True))
     d, values = np.array(effect.law.d), np.array(effect.law.force)[:, 0]
     lines = ax.plot(d, d, color="0.55", lw=1.2, label="model as given")
     lines += ax.plot(d, values, "o-", color=style(1).color, ms=4, lw=1.6, label=effect.label)

@@ -185,7 +185,7 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
     name = "displacement d" if over_d else ("velocity v" if force.mechanical else "x")
     dots = {"linestyle": "none", "marker": ",", "color": "0.6", "zorder": 1, "rasterized": True}
     drawn = axis.plot(motion, force.force, **dots)
-    edges = np.quantile(motion, np.linspace(0.002, 0.998, 22))
+    edges = np.unique(np.quantile(motion, np.linspace(0.002, 0.998, 22)))  # one where nothing moves
     cell = np.clip(np.searchsorted(edges, motion) - 1, 0, edges.size - 2)
     centers, means, spreads = [], [], []
     for c in range(edges.size - 1):
@@ -200,7 +200,7 @@ def _motions(axis: Any, result: Comparison, m: int, found: FailureMap) -> list[A
                                 linewidth=1.2, capsize=2, zorder=3).lines[:1])  # fmt: skip
     # where a free run begins the estimate has no past yet: its first samples are not to set the scale
     if means:
-        reach = 1.8 * max(float(np.max(np.abs(np.array(means)) + np.array(spreads))), 1e-300)
+        reach = 1.8 * max(np.max(np.abs(means) + spreads), 1e-300)
         axis.set_ylim(-reach, reach)
         axis.set_xlim(edges[0] - 0.05 * np.ptp(edges), edges[-1] + 0.05 * np.ptp(edges))
     axis.axhline(0.0, color=MEASURED, linewidth=0.7, zorder=2)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import as_choice
+from ..comparison.signals import root_mean_square
 from ..diagnosis.result import Improvement
 from ..effects.effect import Effect
 from ..inference.parameters import EstimatedParameter
@@ -22,7 +23,7 @@ from .bode import as_response, bode, bode_grid, level_bode
 from .content import Content, content, fields
 from .figures import BAND, Frame, plain, style, unit_text, write_at
 from .page import signal_names
-from .tables import TextTable, root_mean_square
+from .tables import TextTable
 
 _SHOWN = 12  # parameters in the text
 
@@ -220,7 +221,7 @@ def plot_staircase(improvement: Improvement, frame: Frame) -> ct.ControlPlot:
             ax.set_yscale("log")
             ax.set_ylim(bottom=min(held) / 2)
         else:
-            ax.set_ylim(0, max(held) * 1.35)
+            ax.set_ylim(0, max(held) * 1.35 or 1.0)
         ax.set_xlim(-0.5, len(steps) - 0.5)
         ax.set_xticks(range(len(steps)), [step.name for step in steps], rotation=25, ha="right")
         unit = improvement.output_units[0] if len(improvement.output_units) == 1 else ""

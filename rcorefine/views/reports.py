@@ -14,6 +14,7 @@ import numpy as np
 from ..comparison.compare import compare
 from ..comparison.responses import FrequencyComparison
 from ..comparison.result import Comparison, failures_of
+from ..comparison.signals import root_mean_square
 from ..data.measurement import Measurement
 from ..data.records import stretches_by_level
 from ..diagnosis.check_rows import warned
@@ -52,7 +53,7 @@ from .models import (
 )
 from .page import Page, Picture
 from .responses import plot_responses, responses_table
-from .tables import TextTable, cells, number, root_mean_square
+from .tables import TextTable, cells, number
 
 #: Pictures of a comparison, and what each shows; the one that answers comes first.
 _WORDS = {
@@ -518,8 +519,7 @@ def _improvement_answer(found: Improvement) -> tuple[list[str], bool]:
 
 def _refinement_answer(refinement: Refinement) -> tuple[list[str], bool]:
     """Answer how far the fit rose and which parameter changed most."""
-    before, after = float(np.mean(refinement.initial_fit)), float(np.mean(refinement.fit))
-    first = f"The refined model explains {after:.4g} % of the record, the initial one {before:.4g} %."
+    first = refinement.sentences()[0]
     moved = [r for r in refinement.parameters if r.role != "offset" and r.std > 0]
     if moved:
         row = max(moved, key=lambda r: abs(r.coefficient) / r.std)

@@ -10,8 +10,6 @@ from html import escape
 from itertools import zip_longest
 from typing import Any
 
-import numpy as np
-
 WIDTH = 80
 _LEAST = 8  # letters to which a column may be narrowed
 
@@ -49,11 +47,6 @@ def cells(row: Any, columns: str) -> list[str]:
     """
     texts = {column: f"{{0.{column}}}".format(row) for column in columns.split()}
     return ["-" if ":" in column and text == "nan" else text for column, text in texts.items()]
-
-
-def root_mean_square(values: Any) -> float:
-    """Of the errors of one output, or over those of several."""
-    return float(np.sqrt(np.mean(np.asarray(values) ** 2)))
 
 
 def clip(text: str, width: int) -> str:

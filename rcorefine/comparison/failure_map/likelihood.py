@@ -86,6 +86,11 @@ class ResidualLikelihood:
         self.use(residual)
         self.base = self.log_likelihood(residual)
 
+    @property
+    def is_rounding(self) -> bool:
+        """Return whether the residual is below the floor of the noise."""
+        return bool(np.all(np.abs(self.residual) <= _FLOOR))
+
     # ------------------------------------------------------------------ nuisances
     def _initial_out(self, signals: Array) -> Array:
         """Take the best initial states out of (..., n_y, N)."""
@@ -210,9 +215,7 @@ class ResidualLikelihood:
         if not scaled:
             return np.asarray(np.sum((target[:, None] - white) ** 2, axis=0))
         power, along = np.sum(white**2, axis=0), target @ white
-        return np.asarray(
-            target @ target - np.where(power > 1e-300, along**2 / np.maximum(power, 1e-300), 0.0)
-        )
+        return np.asarray(target @ target - along**2 / np.maximum(power, 1e-300))
 
     def searched(self, shapes: Callable[[Array], Array], grid: Array, *, scaled: bool = False) -> Explanation:
         """Find the best shape of a family with one unknown.

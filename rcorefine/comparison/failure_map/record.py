@@ -11,6 +11,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from ...data.channels import Channels
+from ...data.signals import spreads
 from ...engine.linear import linear_responses, unit_responses
 from ...exceptions import RCOError, unheard
 from ...models.physical_model import PhysicalModel
@@ -156,8 +157,7 @@ class ModelOnRecord:
         self._given = comparison.places[index]
         self.dt, self.n_samples, self.n_outputs = data.dt, data.n_samples, data.n_outputs
         # outputs relative to their standard deviation
-        spread = data.outputs.std(axis=1)
-        self.scale = np.where(spread > 0, spread, 1.0)[:, None]
+        self.scale = spreads(data.outputs)[:, None]
         self.run, self.measured = comparison.runs[index] / self.scale, data.outputs / self.scale
         self.reset = np.zeros(self.n_samples, dtype=np.uint8)
         self.reset[list(self.starts)] = 1

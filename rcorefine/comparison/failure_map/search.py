@@ -16,7 +16,6 @@ from ...exceptions import own_arithmetic
 from ...inference.levels import levels
 from ...results import Result, Row
 from ...systems.linear import Array
-from ..signals import is_rounding, root_mean_square
 from .amplitude import distortions, input_laws, level_dependence
 from .frequency import bands, modes
 from .likelihood import ResidualLikelihood
@@ -149,8 +148,6 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
     once more. p-values are multiplied by the number of regions (Bonferroni).
     """
     scene = ModelOnRecord(comparison, index)
-    outputs = comparison.data.outputs
-    residual = outputs - comparison.runs[index]
     notes: list[str] = []
     rows: tuple[Failure, ...] = ()
     looked: tuple[str, ...] = ()
@@ -163,11 +160,13 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
             f"The model {'runs in a loop' if comparison.looped else 'is unstable'} and is corrected by the "
             "record, so failures cannot be located; use diagnose"
         )
-    # search all regions with the same likelihood; a residual of rounding has none
+    elif scene.evidence.is_rounding:
+        notes.append("Beside initial states and offsets, the model differs from the record by rounding only")
+    # search all regions with the same likelihood
     else:
-        looked = DIMENSIONS if scene.places else DIMENSIONS[:3]
-        rows = () if is_rounding(residual, outputs).all() else _rows(scene)
-    return FailureMap(comparison.names[index], rows, root_mean_square(residual), looked, tuple(notes))
+        rows, looked = _rows(scene), DIMENSIONS if scene.places else DIMENSIONS[:3]
+    rms = np.atleast_2d(comparison.rmse)[index]
+    return FailureMap(comparison.names[index], rows, rms, looked, tuple(notes))
 
 
 _OF_OUTPUTS = (stretches, drifts, delays, signs, clipping, pinned, modes, bands)
