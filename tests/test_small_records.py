@@ -109,7 +109,7 @@ def test_check_says_which_length_is_enough_for_a_parameter() -> None:
     label = next(name for name in value if value[name] < sizes[name] < 100 * value[name])
     needed = float(f"{60 * (sizes[label] / value[label]) ** 2:.1g}")
     assert f"{label} (about {needed:.0f} samples are enough)" in row.sentence
-    assert "too short to test" in str(rco.check(HOUSE, house_record(30, 0.4)))
+    assert "too few to test" in str(rco.check(HOUSE, house_record(30, 0.4)))
 
 
 def test_check_names_an_input_that_acts_on_nothing() -> None:

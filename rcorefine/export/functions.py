@@ -124,9 +124,9 @@ def translated(
     --------
     >>> from rcorefine.effects.law import KINDS
     >>> print(translated(KINDS["bilinear_stiffness"].law, "law1", "C", "a kink"))
-    static double law1(double d, double bilinear_stiffness)
+    static double law1(double d, double bilinear_stiffness, double side)
     {
-        return (bilinear_stiffness * fmax(0.0, d));
+        return ((bilinear_stiffness * side) * fmax(0.0, (side * d)));
     }
     """
     plain = getattr(function, "py_func", function)
