@@ -337,12 +337,13 @@ def test_twenty_thousand_samples(visitor):
 
 
 # ------------------------------------------------------------------ without a browser
-def upgrade(port: int, origin: str) -> int:
-    """Status of a request for a websocket from a page of another origin."""
+def upgrade(port: int, origin: str, *more: str) -> int:
+    """Status of a request for a websocket from a page of some origin, with further headers."""
     token = socket.create_connection(("127.0.0.1", port), timeout=WAIT)
     lines = [
         "GET /ws HTTP/1.1", f"Host: 127.0.0.1:{port}", "Upgrade: websocket", "Connection: Upgrade",
-        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13", f"Origin: {origin}",
+        "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13",
+        f"Origin: {origin}", *more,
     ]  # fmt: skip
     token.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
     answer = token.recv(200).decode(errors="replace")
@@ -355,6 +356,12 @@ def test_no_other_origin_is_served(served):
         assert upgrade(served.port, origin) == 403
     for host in ("127.0.0.1", "localhost"):  # no session token: refused later, and not for its origin
         assert upgrade(served.port, f"http://{host}:{served.port}") != 403
+
+
+@pytest.mark.parametrize("token", ["!!!!", "abc", "e30", "WzFd", "a" * 3000])
+def test_a_token_of_no_session_is_refused_without_a_traceback(served, token):
+    own = f"http://127.0.0.1:{served.port}"
+    assert upgrade(served.port, own, f"Sec-WebSocket-Protocol: bokeh, {token}") == 403
 
 
 def answer(port: int, path: str = "/", **headers: str) -> tuple[int, str, http.client.HTTPMessage]:

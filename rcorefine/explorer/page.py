@@ -18,6 +18,7 @@ import control as ct
 import panel as pn
 from bokeh.models import PrintfTickFormatter
 from bokeh.server.auth_provider import NullAuth
+from bokeh.util.token import get_token_payload
 from tornado.httputil import HTTPHeaders, HTTPServerRequest
 from tornado.web import HTTPError, OutputTransform, RequestHandler
 
@@ -514,6 +515,11 @@ class Visitors(NullAuth):  # type: ignore[misc]
             raise HTTPError(403, reason="the page is not for other pages; open its own address")
         if any(name.startswith("bokeh-") for name in (*asking.request.arguments, *map(str.lower, headers))):
             raise HTTPError(403, reason="a session is not taken from a request; open the bare address")
+        if token := headers.get("Sec-WebSocket-Protocol", "").partition(",")[2].strip():
+            try:
+                get_token_payload(token)
+            except (ValueError, LookupError, TypeError):
+                raise HTTPError(403, reason="the token is none of this server; reload the page") from None
         return "visitor"
 
 
