@@ -159,7 +159,7 @@ class Case:
         """Residual over the declared noise, 0 where none was declared."""
         if self.settings["noise"] is None and not all(record.known for record in self.ordered):
             return 0.0
-        residual = np.concatenate(fitted.residuals(), axis=1)
+        residual = np.hstack(fitted.residuals())
         return float(np.sqrt(np.mean(residual**2, axis=1)).max())
 
     def passes(self, tests: Sequence[FTest], fitted: FittedModel) -> bool:
@@ -168,8 +168,8 @@ class Case:
         A residual passes, too, if it is no larger than the numerical error.
         """
         # residual in weighted units against the numerical error of the simulation
-        left, records = np.concatenate(fitted.residuals(), axis=1), fitted.problem.records
-        whole = fitted.problem.weights[:, None] * np.concatenate([r.outputs for r in records], axis=1)
+        left, records = np.hstack(fitted.residuals()), fitted.problem.records
+        whole = fitted.problem.weights[:, None] * np.hstack([r.outputs for r in records])
         whole = whole - self.in_time * whole.mean(axis=1, keepdims=True)
         least = RESOLUTION if self.in_time else _SOLVED
         if (np.sum(left**2, axis=1) <= least**2 * np.sum(whole**2, axis=1)).all():
@@ -280,7 +280,7 @@ def seen_in(
         return list(candidates)
     candidates = [*candidates, *differenced(physical, records)]
     # a power of a command that changes its sign is a saturation or a dead zone by another name
-    inputs = np.concatenate([record.inputs for record in records], axis=1)
+    inputs = np.hstack([record.inputs for record in records])
     turns = (inputs.min(axis=1) < 0) & (inputs.max(axis=1) > 0)
     turning = {label for label, turn in zip(physical.linear.input_labels, turns, strict=True) if turn}
     return [e for e in candidates if not (e.spec.one_signed and e.place in turning)]

@@ -475,7 +475,7 @@ def _error(left: Array, seen: float) -> float:
     The mean is over `seen` samples, and `left` is the remainder.
     """
     a, variance = autoregression(left)
-    return float(np.sqrt(variance / seen) / max(abs(float(np.sum(a))), 1e-12))
+    return float(np.sqrt(variance / seen) / max(abs(a.sum()), 1e-12))
 
 
 #: Size of each unit of a quantity, by the names that messages use.

@@ -429,4 +429,4 @@ def _follows(new: Array, past: Array, first: int) -> tuple[float, float]:
     # each product over its own size: chi-square with one degree per lag
     z = sums / np.maximum([np.linalg.norm(p) for p in products], 1e-300)
     most = np.abs(sums).max() / max(np.linalg.norm(new) * np.linalg.norm(past), 1e-300)
-    return float(stats.chi2.sf(float(z @ z), _LAGS)), float(most)
+    return float(stats.chi2.sf(z @ z, _LAGS)), float(most)

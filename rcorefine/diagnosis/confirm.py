@@ -36,6 +36,7 @@ from ..results import Options, Result, Row, chance, picture, show
 from ..systems.linear import Array
 from .beside import Beside
 from .case import not_held
+from .dead_sensors import check_moving
 from .noise import error_shares, in_percent
 from .residual_tests import TestedResidual, overall, run_tests
 
@@ -132,6 +133,7 @@ def confirm(
     ordered = [ordered_record(model.physical_model, r) for r in records]
     for record in ordered:
         check_channels(model.physical_model.linear, record)
+        check_moving([record], record.output_labels)
     # coefficients of the added effects, and conditions that scale them
     own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]
     conditions, factors = _conditions(model, own, records, scales_with)

@@ -112,8 +112,7 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
     labels = physical.linear.output_labels
     if any(record.n_outputs < len(labels) for record in ordered):
         return None
-    if all(np.ptp(record.outputs, axis=1).max() == 0 for record in ordered):
-        raise DataError(f"no output ever changes ({', '.join(labels)}); check sensors and cables")
+    check_moving(ordered, labels)
     # left out if the sensor shows nothing in every record
     dead = _dead(physical, ordered)
     kept = tuple(i for i in range(len(labels)) if i not in dead)
@@ -122,6 +121,12 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
     rest = ", ".join(labels[i] for i in kept)
     said = tuple(f"{labels[i]} is left out: {why}. The verdict rests on {rest}." for i, why in dead.items())
     return Watched(physical, kept, said)
+
+
+def check_moving(records: Sequence[Any], labels: Sequence[str]) -> None:
+    """Refuse records in which no output ever changes."""
+    if all(record.in_time and not np.ptp(record.outputs, axis=1).any() for record in records):
+        raise DataError(f"no output ever changes ({', '.join(labels)}); check sensors and cables")
 
 
 def _watchable(model: Any, records: Sequence[Measurement]) -> PhysicalModel | None:

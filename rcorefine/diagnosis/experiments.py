@@ -184,7 +184,7 @@ class _Judge:
         self.limit = largest_input
         # noise levels and color of the record at hand, taken over to the new one
         self.levels = 1.0 / fitted.problem.weights
-        self.whitener = Whitener.fit(fitted.residuals(ratio))
+        self.whitener = fitted.problem.whitener(fitted.residuals(ratio))
         self.before = sum(record.outputs.size for record in records)
         self.best: Refinement = contenders[0].refinement
         self.seen = self._largest(records)
@@ -222,7 +222,7 @@ class _Judge:
 
     def _sensor_noise(self, row: Array) -> float:
         """Return the noise of a new sensor, relative to its signal as the others."""
-        spread = spreads(np.concatenate([r.outputs for r in self.records], axis=1))
+        spread = spreads(np.hstack([r.outputs for r in self.records]))
         # median noise-to-signal ratio of the present outputs
         relative = float(np.median(self.levels / spread))
         signal = row @ self._states(self.records[0])[: row.size]

@@ -221,8 +221,8 @@ def _tabulated(fits: SingleFits, form: FreeForm) -> OpenLaw | None:
         table = Table(table.d, table.v, np.array(table.force) - table(*rest))
     effect = Effect(kind, place, law=table, name=f"{_NAMES[kind]}, tabulated at {place}")
     # fit of the simulation with the table
-    errors = np.concatenate([r / fitted.problem.weights[:, None] for r in fitted.residuals()], axis=1)
-    measured = np.concatenate([r.outputs for r in fitted.problem.records], axis=1)
+    errors = np.hstack([r / fitted.problem.weights[:, None] for r in fitted.residuals()])
+    measured = np.hstack([r.outputs for r in fitted.problem.records])
     spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
     fit = 100.0 * (1.0 - np.linalg.norm(errors, axis=1) / np.where(spread > 0, spread, np.inf))
     if fit.mean() <= np.mean(fits.fitted.refinement.fit):
@@ -259,7 +259,7 @@ def _nearest(fits: SingleFits, form: FreeForm) -> tuple[tuple[Effect, float], ..
     d, v = motion_at(form.fitted, form.curve.place, 0.0)
     force = form.table(d, v)
     force = force - force.mean()
-    w = np.concatenate([record.inputs for record in form.fitted.problem.records], axis=1)
+    w = np.hstack([record.inputs for record in form.fitted.problem.records])
     rows = []
     for trial in fits.trials:
         effect, shape = trial.effects[0], trial.start.values[0]

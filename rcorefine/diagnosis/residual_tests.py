@@ -287,8 +287,8 @@ def _at_once(fitted: FittedModel) -> NDArray[np.bool_]:
     records = [engine.data for engine in fitted.problem.engines]  # with the hold of the model
     # direct path through D that is seen above rounding
     direct = fitted.structure.matrices(fitted.theta).D[:, : records[0].n_inputs].real
-    moved = np.concatenate([r.inputs for r in records], axis=1).std(axis=1)
-    shown = np.concatenate([r.outputs for r in records], axis=1).std(axis=1)
+    moved = np.hstack([r.inputs for r in records]).std(axis=1)
+    shown = np.hstack([r.outputs for r in records]).std(axis=1)
     seen = np.abs(direct) * moved > 1e-9 * shown[:, None]
     return np.asarray(seen | any(record.hold != "zoh" for record in records))
 

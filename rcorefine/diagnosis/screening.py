@@ -18,7 +18,7 @@ from ..systems.linear import Array
 from .hypothesis import Start
 
 _FLAT = 1e-4  # least share of a column outside the span of parameters, offsets and initial states
-_NOTHING = 1e-150  # squared residual of an exact record
+_NOTHING = 0.01  # variance of a white residual that is below the resolution: that of an exact record
 _WIDTH = 6  # sets that each round of the beam search extends
 _MOST_RECORDS = 8  # most records whose initial states are solved for together
 
@@ -138,6 +138,7 @@ class Screen:
         self.X = project(self.raw / self.scale, self.basis)
         self.G = self.X.T @ self.X
         self.n = max(len(r) - self.basis.rank, 10)
+        self._left = max(float(self.G[0, 0]), _NOTHING * self.n)  # power of the residual
 
     def _weights(self) -> list[Array]:
         """Return the weights of the samples by their noise."""
@@ -165,7 +166,7 @@ class Screen:
         """
         # Bayesian linear regression with unknown noise variance, by fixed-point iteration
         m, columns = self._columns(groups, open_)
-        rr = max(float(self.G[0, 0]), _NOTHING)  # nothing is left of an exact record
+        rr = self._left
         if not columns:
             return -0.5 * self.n * float(np.log(rr / self.n)), np.zeros(0)
         G, b = self.G[np.ix_(columns, columns)], self.G[columns, 0]
@@ -186,7 +187,7 @@ class Screen:
         """Return approximate gains in log evidence by each further group."""
         # score of each further group: one Gram-Schmidt step in the metric of the present solution
         m, columns = self._columns(chosen, open_)
-        rr = max(float(self.G[0, 0]), _NOTHING)
+        rr = self._left
         value = self.solve(chosen, open_)[0]
         variance = max(float(np.exp(-2.0 * value / self.n)), 1e-12 * rr / self.n)
         S = self.G / variance

@@ -18,7 +18,7 @@ from ..inference.f_tests import FTest
 from ..inference.fitted import FittedModel
 from ..inference.sensitivities import Candidate, candidate_columns
 from ..inference.starts import estimated_motion
-from ..inference.whitening import Whitener, innovations
+from ..inference.whitening import innovations
 from .beside import Beside, FreeStiffness
 from .case import Case, not_held
 from .hypothesis import Hypothesis, Start, Trial
@@ -335,7 +335,7 @@ class Search:
         def made(metric: Metric) -> Screen:
             return Screen(fitted, scored, numbers, metric, self.motion)
 
-        plain, own = made(Metric(Whitener.fit(residual, order=0))), noise(residual)
+        plain, own = made(Metric(fitted.problem.whitener(residual, 0))), noise(residual)
         found = [plain]
         if any(own.whitener.orders) or own.uneven:
             found.append(made(Metric(own.whitener, own.weights)))
@@ -345,7 +345,7 @@ class Search:
         if any(other.whitener.orders) and other.whitener.orders != own.whitener.orders:
             found.append(made(Metric(other.whitener)))
         if strong:
-            found.append(made(Metric(Whitener.fit(fitted.residuals(1.0)), None, 1.0)))
+            found.append(made(Metric(fitted.problem.whitener(fitted.residuals(1.0)), None, 1.0)))
         return found
 
     def _screens_beside(self, near: Sequence[Effect]) -> list[Screen]:
@@ -508,7 +508,7 @@ class Search:
         numbers = {} if trial.hypothesis.floated else self.numbers
         residual = fitted.residuals()
         own = self.fitter.noise_of(residual)
-        for metric in (Metric(Whitener.fit(residual, order=0)), Metric(own.whitener, own.weights)):
+        for metric in (Metric(fitted.problem.whitener(residual, 0)), Metric(own.whitener, own.weights)):
             screen = Screen(fitted, scored, numbers, metric, self.motion)
             ranked = [groups for _, groups in screen.beam(2, True, self.price)]
             pairs, alone = ([groups for groups in ranked if len(groups) == n] for n in (2, 1))

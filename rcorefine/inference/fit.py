@@ -144,7 +144,7 @@ class Fit:
         """Log of the residual power over the outputs: comparable between fits."""
         # concentrated log-likelihood: log of the mean square of each output
         blocks = self.problem.own_blocks(self.result.point)
-        residual = np.concatenate([r for r, _, _ in blocks], axis=1) / self.problem.weights[:, None]
+        residual = np.hstack([r for r, _, _ in blocks]) / self.problem.weights[:, None]
         return float(np.sum(np.log(np.mean(residual**2, axis=1) + 1e-300)))
 
 

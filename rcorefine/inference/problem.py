@@ -16,6 +16,7 @@ from scipy.linalg import block_diag
 
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord
+from ..data.signals import spreads
 from ..engine.amplitude_response import engine_on, is_linear
 from ..engine.initial_state import added_states, brief_modes
 from ..engine.structure import Structure
@@ -181,15 +182,15 @@ class Problem:
             given["initial"] = np.pad(self.initial, (0, structure.n_states - self.initial.size))
         return Problem(structure, records or self.records, **{**given, **changes})
 
-    def whitener(self, residuals: Sequence[Array]) -> Whitener:
-        """Filter of residuals, of at most the order `color`.
+    def whitener(self, residuals: Sequence[Array], order: int | None = None) -> Whitener:
+        """Filter of residuals, of at most the order `color`, or of a given order.
 
         No innovation is smaller than the resolution of an output: an exact record has no other noise.
         """
         # floor of the innovations: resolution of the outputs, in units of the noise
-        outputs = np.concatenate([record.outputs for record in self.records], axis=1)
-        resolved = RESOLUTION * (self.color != 0) * self.weights * outputs.std(axis=1)
-        return Whitener.fit(residuals, most=self.color, floor=resolved)
+        outputs = np.hstack([record.outputs for record in self.records])
+        resolved = RESOLUTION * (self.color != 0) * self.weights * spreads(outputs)
+        return Whitener.fit(residuals, order=order, most=self.color, floor=resolved)
 
     @property
     def color(self) -> int | None:

@@ -72,9 +72,9 @@ class Whitener:
         """
         # one model for each output, over all records
         models = [autoregression(row, order=order, most=most) for row in np.concatenate(residuals, axis=1)]
-        left = np.sqrt([variance for _, variance in models])
+        left = np.hypot(np.sqrt([variance for _, variance in models]), floor)
         # zero innovations (no sample counts, or the observer follows the record) are no noise level
-        return cls(tuple(a for a, _ in models), np.where(left > 0, np.hypot(left, floor), 1.0))
+        return cls(tuple(a for a, _ in models), left + (left == 0))
 
     @property
     def orders(self) -> tuple[int, ...]:
