@@ -268,13 +268,22 @@ def test_a_constant_output_weighs_by_its_level(size):
     assert found.parameters[0].value == pytest.approx(alike.parameters[0].value, rel=1e-6)
 
 
+@WITHOUT_WARNINGS
+def test_an_output_that_stops_has_failures():
+    """Most of its samples are left out of what is looked at, and the mean of no sample was taken."""
+    plant = PLANTS["static gain"]
+    w = np.random.default_rng(0).standard_normal(240)
+    y = np.where(np.arange(240) < 60, 2.0 * w, 2.0 * w[60])
+    assert rco.compare(plant, rco.Measurement(w, y, dt=0.1)).failures[0].dimension == "time"
+
+
 @pytest.mark.filterwarnings("ignore::rcorefine.RCOWarning")
 def test_a_record_at_rest_confirms_nothing():
     plant, effect = PLANTS["mass"], rco.Effect("stiffness", "link1")
     moving = rco.Measurement(NOISE[0], simulated(plant, NOISE[0]), dt=0.05)
     better = rco.refine(plant, moving, [effect])
     still = rco.Measurement(np.ones(N), np.ones(N), dt=0.05)
-    with pytest.raises(rco.DataError, match="no output ever changes"):
+    with pytest.raises(rco.DataError, match=r"no output ever changes \(record 2\)"):
         rco.confirm(better, [moving, still], candidates=[effect])
 
 

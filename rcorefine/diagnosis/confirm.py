@@ -131,9 +131,9 @@ def confirm(
     if len(records) < 2:
         raise ct.ControlArgument("data holds one record; give the one that taught the effects and another")
     ordered = [ordered_record(model.physical_model, r) for r in records]
-    for record in ordered:
+    for number, record in enumerate(ordered, 1):
         check_channels(model.physical_model.linear, record)
-        check_moving([record], record.output_labels)
+        check_moving([record], [f"record {number}"])
     # coefficients of the added effects, and conditions that scale them
     own = [i for i, row in enumerate(model.parameters) if row.role == "effect"]
     conditions, factors = _conditions(model, own, records, scales_with)

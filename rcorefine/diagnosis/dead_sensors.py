@@ -123,10 +123,10 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
     return Watched(physical, kept, said)
 
 
-def check_moving(records: Sequence[Any], labels: Sequence[str]) -> None:
-    """Refuse records in which no output ever changes."""
+def check_moving(records: Sequence[Any], where: Sequence[str]) -> None:
+    """Refuse records in which no output ever changes; `where` names outputs or records."""
     if all(record.in_time and not np.ptp(record.outputs, axis=1).any() for record in records):
-        raise DataError(f"no output ever changes ({', '.join(labels)}); check sensors and cables")
+        raise DataError(f"no output ever changes ({', '.join(where)}); check sensors and cables")
 
 
 def _watchable(model: Any, records: Sequence[Measurement]) -> PhysicalModel | None:

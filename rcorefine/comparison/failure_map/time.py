@@ -357,9 +357,9 @@ def _likelihood_gain(r: Array, left: Array, masked: NDArray[np.bool_], a: int, b
     e = innovations(own, np.where(masked, 0.0, left))
     keep = np.arange(r.size) >= order
     keep[b : b + order] = False  # there the filter still remembers the stretch
-    if (keep & inside & ~masked).sum() < 4 or (keep & ~inside).sum() < 4 * order:
-        return -np.inf
     quiet, loud = e[keep & ~inside & ~masked], e[keep & inside & ~masked]
+    if loud.size < 4 or quiet.size < 4 * order:
+        return -np.inf
     # single outliers must not make a stretch: the loud level is taken from its middle too
     level = min(float(np.mean(loud**2)), 3.0 * float(np.median(loud**2)) / 0.455)
     own_levels = quiet.size * np.log(np.mean(quiet**2) + 1e-300) + loud.size * np.log(max(level, 1e-300))
