@@ -375,7 +375,7 @@ def estimate(value: float, std: float) -> tuple[str, str]:
     ----------
     value, std : float
         What was estimated, and how well; four digits where that is not known. A standard deviation below
-        the rounding of the value is no number.
+        the rounding of the value is "exact".
 
     Returns
     -------
@@ -386,16 +386,16 @@ def estimate(value: float, std: float) -> tuple[str, str]:
     >>> estimate(0.00028725, 0.00048), estimate(29.9942, 1.0), estimate(203517.0, 1234.0)
     (('0.00029', '0.00048'), ('30.0', '1.0'), ('203500', '1200'))
     >>> estimate(-43.2123, float("inf")), estimate(10.0, 7.1e-18)
-    (('-43.21', 'inf'), ('10.0000', 'rounding'))
+    (('-43.21', 'inf'), ('10.0000', 'exact'))
     """
     if not (math.isfinite(value) and math.isfinite(std) and std > 0):
         return f"{value:.4g}", f"{std:.2g}"
-    last = math.floor(math.log10(float(f"{std:.1e}"))) - 1  # decimal place of its second digit
+    last = _place(float(f"{std:.1e}")) - 1  # decimal place of its second digit
     if value:
-        last = max(last, math.floor(math.log10(abs(value))) + 1 - _MOST)
+        last = max(last, _place(value) + 1 - _MOST)
     if std < _ULPS * math.ulp(value):
-        return _to(value, last), "rounding"
-    return _to(value, last), _to(float(f"{std:.1e}"), math.floor(math.log10(std)) - 1)
+        return _to(value, last), "exact"
+    return _to(value, last), _to(float(f"{std:.1e}"), _place(std) - 1)
 
 
 def with_error(value: float, std: float, unit: str = "") -> str:
@@ -417,12 +417,9 @@ def with_error(value: float, std: float, unit: str = "") -> str:
     >>> with_error(0.24961, 0.0003, "N")
     '0.24961 +/- 0.00030 N'
     >>> with_error(10.0, 7.1e-18, "N")
-    '10.0000 N (exact to rounding)'
+    '10.0000 (exact to rounding) N'
     """
-    value_text, std_text = estimate(value, std)
-    if std_text == "rounding":
-        return f"{value_text} {unit}".rstrip() + " (exact to rounding)"
-    return f"{value_text} +/- {std_text} {unit}".rstrip()
+    return f"{' +/- '.join(estimate(value, std)).replace('+/- exact', '(exact to rounding)')} {unit}".rstrip()
 
 
 def _to(value: float, last: int) -> str:

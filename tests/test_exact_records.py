@@ -12,6 +12,7 @@ from cases import slow
 
 import rcorefine as rco
 from rcorefine.comparison.model_error import model_error
+from rcorefine.results import with_error
 
 STEP = np.ones(400)
 TURNING = np.repeat(np.random.default_rng(0).choice([-1.0, 1.0], 40), 10)
@@ -303,3 +304,11 @@ def test_an_exact_decay_has_nothing_missing():
     w, y = RECORDS["decay"](plant)
     for data in (rco.Measurement(w, y, dt=0.05), rco.Measurement.free_decay(y, dt=0.05)):
         assert rco.diagnose(plant, data, candidates=few_effects(plant, data)).verdict == "adequate"
+
+
+@pytest.mark.parametrize(("value", "std", "text"), [
+    (10.0, 7.1e-18, "10.0000 (exact to rounding) kg"), (-1e-12, 1e-28, "-1.00000e-12 (exact to rounding) kg"),
+    (1.0, 1e-13, "1.00000 +/- 1.0e-13 kg"), (10.0, 0.0, "10 +/- 0 kg"), (0.0, 1e-18, "0.000000 +/- 1.0e-18 kg"),
+])  # fmt: skip
+def test_a_deviation_below_the_rounding_of_its_value_is_no_figure(value, std, text):
+    assert with_error(value, std, "kg") == text

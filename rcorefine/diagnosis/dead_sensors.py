@@ -124,7 +124,10 @@ def without_dead_sensors(model: Any, records: Sequence[Measurement]) -> Watched 
 
 
 def check_moving(records: Sequence[Any], where: Sequence[str]) -> None:
-    """Refuse records in which no output ever changes; `where` names outputs or records."""
+    """Refuse records in which no output ever changes.
+
+    The message names `where`: outputs, or a record.
+    """
     if all(record.in_time and not np.ptp(record.outputs, axis=1).any() for record in records):
         raise DataError(f"no output ever changes ({', '.join(where)}); check sensors and cables")
 
