@@ -12,6 +12,7 @@ from cases import slow
 
 import rcorefine as rco
 from rcorefine.comparison.model_error import model_error
+from rcorefine.fleet.pooling import pool
 from rcorefine.results import with_error
 
 STEP = np.ones(400)
@@ -308,7 +309,23 @@ def test_an_exact_decay_has_nothing_missing():
 
 @pytest.mark.parametrize(("value", "std", "text"), [
     (10.0, 7.1e-18, "10.0000 (exact to rounding) kg"), (-1e-12, 1e-28, "-1.00000e-12 (exact to rounding) kg"),
-    (1.0, 1e-13, "1.00000 +/- 1.0e-13 kg"), (10.0, 0.0, "10 +/- 0 kg"), (0.0, 1e-18, "0.000000 +/- 1.0e-18 kg"),
+    (1.0, 1e-13, "1.00000 +/- 1.0e-13 kg"), (10.0, 0.0, "10 +/- 0 kg"),
+    (0.0, 1e-18, "0.000000 +/- 1.0e-18 kg"),
 ])  # fmt: skip
 def test_a_deviation_below_the_rounding_of_its_value_is_no_figure(value, std, text):
     assert with_error(value, std, "kg") == text
+
+
+def test_an_exact_estimate_beside_others_is_pooled():
+    """DerSimonian and Laird: the spread does not depend on how much more certain the best one is."""
+    values = np.array([1.0, 3.0, 2.0])
+    found = [pool(values, np.array([small, 0.5, 0.5])) for small in (1e-10, 1e-14, 1e-40)]
+    assert [one.spread for one in found] == pytest.approx([found[0].spread] * 3, rel=1e-6)
+
+
+@WITHOUT_WARNINGS
+def test_a_response_of_zero_is_refined_or_refused():
+    plant, blank = PLANTS["mass"], rco.Measurement(NOISE.ravel(), np.zeros(4 * N), dt=0.05)
+    found = rco.refine(plant, blank.frequency_response(segment_length=60), free="linear")
+    assert not found.success
+    assert "nan" not in str(found)

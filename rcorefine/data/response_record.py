@@ -77,7 +77,8 @@ class ResponseRecord(FrequencyRecord):
                 std**2 + 0.5 * np.abs(_BIAS * _curvature(measured)[np.ix_(rows, columns, lines)]) ** 2
             )
         std = np.maximum(std, _ROUNDING * np.sqrt(np.mean(straight.magnitude**2, axis=(1, 2), keepdims=True)))
-        both = np.concatenate([std, std], axis=1).reshape(std.shape[0], -1)
+        std += std == 0  # an output that is zero has no rounding
+        both = np.hstack([std, std]).reshape(len(std), -1)
         return cls(straight, both, known, " ".join(part for part in (note, said) if part))
 
     @classmethod

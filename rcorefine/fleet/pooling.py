@@ -74,13 +74,13 @@ def pool(values: Array, variances: Array) -> Pooled:
     weights = 1.0 / variances
     dof = values.size - 1
     if dof == 0:
-        z = values[0] / np.sqrt(variances[0])
-        return Pooled(
-            float(values[0]), float(np.sqrt(variances[0])), 0.0, float(2 * stats.norm.sf(abs(z))), 1.0
-        )
+        std = float(np.sqrt(variances[0]))
+        return Pooled(float(values[0]), std, 0.0, float(2 * stats.norm.sf(abs(values[0]) / std)), 1.0)
     fixed = np.average(values, weights=weights)
     q = float(weights @ (values - fixed) ** 2)
-    between = max(0.0, (q - dof) / float(weights.sum() - (weights @ weights) / weights.sum()))
+    # sum of w less sum of w^2 over it, by pairs: no difference where one estimate is exact beside the others
+    pairs = weights @ (1.0 - np.eye(dof + 1)) @ weights
+    between = max(0.0, (q - dof) * weights.sum() / pairs)
     weights = 1.0 / (variances + between)
     mean = float(np.average(values, weights=weights))
     factor = max(1.0, float(weights @ (values - mean) ** 2) / dof)
