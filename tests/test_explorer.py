@@ -18,6 +18,7 @@ from pathlib import Path
 import control as ct
 import numpy as np
 import pytest
+from cases import slow
 from chromium_pipe import CHROMIUM, Browser
 
 import rcorefine as rco
@@ -358,12 +359,6 @@ def test_no_other_origin_is_served(served):
         assert upgrade(served.port, f"http://{host}:{served.port}") != 403
 
 
-@pytest.mark.parametrize("token", ["!!!!", "abc", "e30", "WzFd", "a" * 3000])
-def test_a_token_of_no_session_is_refused_without_a_traceback(served, token):
-    own = f"http://127.0.0.1:{served.port}"
-    assert upgrade(served.port, own, f"Sec-WebSocket-Protocol: bokeh, {token}") == 403
-
-
 def answer(port: int, path: str = "/", **headers: str) -> tuple[int, str, http.client.HTTPMessage]:
     """Status, reason and headers of a request."""
     ask = http.client.HTTPConnection("127.0.0.1", port, timeout=WAIT)
@@ -406,6 +401,102 @@ def test_a_page_is_built_for_its_own_address_alone(monkeypatch):
         assert len(built) == 5
     finally:
         page.close()
+
+
+PATHS = (
+    "/ws", "/autoload.js", "/metadata", "/static/", "/static/js/bokeh.min.js", "/static/%00",
+    "/static/js/%00.js", "/static/extensions/panel/%00", "/static/%ff", "/static/%2e%2e/x",
+    f"/static/{5000 * 'a'}", f"/{300 * '%2F'}", "//", "*", "/x%00", "/%zz", "/login", "http://x/",
+    "/components/%00",
+)  # fmt: skip
+METHODS = (*8 * ("GET",), "HEAD", "POST", "PUT", "OPTIONS", "BREW", "get", "CONNECT")
+NAMES = ("theme", "v", "bokeh-token", "bokeh-session-id", "bokeh-autoload-element", "%ff", "resources")
+VALUES = ("", "a", "%00", "%ff", 3000 * "a", "[]", "1e999", "<script>", "%0d%0a")
+FIELDS = (
+    "Range: bytes=5-2", "Range: x", "If-Modified-Since: Thu, 99 Jan 99999", 'If-None-Match: \xff"',
+    "Cookie: \x80=\xff;", "Content-Length: -1", "Content-Length: x", "Transfer-Encoding: gzip",
+    f"X: {90_000 * 'y'}", "Origin: null", "Content-Type: multipart/form-data", "bad header",
+    "Host: [::1", "Host: a", "Bokeh-Session-Id: x",
+    "Sec-WebSocket-Extensions: permessage-deflate; client_max_window_bits=x",
+)  # fmt: skip
+TOKENS = (
+    "x",
+    "!!!!",
+    "YWJj",
+    "YWJj.YWJj",
+    "e30",
+    "bnVsbA",
+    "W10",
+    "\xe9",
+    5000 * "a",
+    "bokeh",
+    "a, b",
+    "",
+    "e30=.x",
+    "eyJzZXNzaW9uX2lkIjoieCIsInNlc3Npb25fZXhwaXJ5Ijo5OTk5OTk5OTk5OTl9",  # {"session_id": "x", ...}, unsigned
+    "eyJzZXNzaW9uX2lkIjoxLCJzZXNzaW9uX2V4cGlyeSI6Im5ldmVyIn0",  # {"session_id": 1, "session_expiry": "never"}
+)
+FRAMES = (
+    b"\x81\x85\0\0\0\0hello",
+    50 * b"\xff",
+    b"\x82\xfe\xff\xff",
+    b"\x81\x82\0\0\0\0{}",
+    b"\x88\x80\0\0\0\0",
+)
+
+
+def strange_request(rng: np.random.Generator, port: int) -> str:
+    """A request that no page makes."""
+
+    def pick(values):
+        return values[rng.integers(len(values))]
+
+    fields = [f"Host: 127.0.0.1:{port}", *(pick(FIELDS) for _ in range(rng.integers(3)))]
+    if rng.random() < 0.4:
+        key, version = pick(("dGhlIHNhbXBsZSBub25jZQ==", "x", "")), pick(("13", "13", "13", "x", "99"))
+        kind = pick(("bokeh, ", "bokeh,", "", "x, "))
+        fields += [f"Sec-WebSocket-Key: {key}", f"Sec-WebSocket-Version: {version}", "Connection: Upgrade"]
+        fields += [f"Sec-WebSocket-Protocol: {kind}{pick(TOKENS)}", f"Upgrade: {pick(('websocket', 'h2c'))}"]
+        first = "GET /ws"
+    else:
+        query = "&".join(f"{pick(NAMES)}={pick(VALUES)}" for _ in range(rng.integers(3)))
+        first = f"{pick(METHODS)} {pick(PATHS)}?{query}".rstrip("?")
+    return "\r\n".join([f"{first} HTTP/{pick(('1.1', '1.1', '1.0', 'x'))}", *fields, "", ""])
+
+
+@THEIRS
+@pytest.mark.parametrize("count", [60, *slow(500)])
+def test_no_request_is_a_fault(count, caplog):
+    """What is strange is refused with 4xx or a closed connection, and the log holds no traceback."""
+    page = rco.explore(chain(), record(200))
+    port = int(page.show(browser=False).rsplit(":", 1)[1].strip("/"))
+    rng, found = np.random.default_rng(count), {}
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout=WAIT) as ask:
+            ask.sendall(f"GET / HTTP/1.0\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+            shown = b"".join(iter(lambda: ask.recv(1 << 16), b"")).decode()
+        token = re.search(r'"token":"([^"]+)"', shown)[1]
+        requests = [strange_request(rng, port) for _ in range(count)]
+        upgrade = (
+            f"GET /ws HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n"
+            "Sec-WebSocket-Protocol: "
+        )
+        for words, status in ((f"bokeh, {token}", 101), (f"x, {token}", 400), (token, 400)):
+            found[upgrade + words + "\r\n\r\n"] = status
+        for request in [*found, *requests]:
+            with socket.create_connection(("127.0.0.1", port), timeout=WAIT) as ask:
+                ask.sendall(request.encode("latin-1"))
+                ask.shutdown(socket.SHUT_WR) if request not in found else None
+                said = ask.recv(200).decode("latin-1")
+                if " 101 " in said:
+                    ask.sendall(FRAMES[rng.integers(len(FRAMES))])
+            status = int(said.split()[1]) if said.startswith("HTTP/") else 400
+            assert status == found.get(request, status), request[:300]
+            assert status < 500, request[:300]
+    finally:
+        page.close()
+    assert [record.getMessage() for record in caplog.records if record.exc_info] == []
 
 
 def test_the_page_runs_no_script_but_its_own(served):

@@ -112,7 +112,8 @@ class Exploration:
         self.model, self.physical = self._by_hand.model, self._by_hand.physical
         #: the record in the order of the model's channels, above its operating point
         self.record, self.note = self._by_hand.record, self._by_hand.note
-        self._steps = [self._step("start", "initial model", (), self._by_hand.start())]
+        self._steps: list[ExplorationStep] = []
+        self._step("start", "initial model", (), self._by_hand.start())
         self._compared: tuple[ExplorationStep, Comparison] | None = None
 
     # ------------------------------------------------------------------ where it stands
@@ -211,7 +212,7 @@ class Exploration:
             raise ModelError(f"the model holds {effect.label} already; move its coefficient")
         first = self._by_hand.addition(effect).coefficients
         model = self._by_hand.settled(self.refinement, effect, first | _checked(effect, values))
-        return self._enter(self._step("add", f"add {effect.label}", (*self.effects, effect), model))
+        return self._step("add", f"add {effect.label}", (*self.effects, effect), model)
 
     def move(self, effect: Effect, **values: float) -> ExplorationStep:
         """Set coefficients of an added effect by hand.
@@ -221,7 +222,7 @@ class Exploration:
         """
         held = self.coefficients(effect) | _checked(effect, values)
         model = self._by_hand.settled(self.refinement, effect, held)
-        step = self._enter(self._step("move", f"move {effect.label}", self.effects, model))
+        step = self._step("move", f"move {effect.label}", self.effects, model)
         if self._steps[-2].name == step.name:
             del self._steps[-2]
         return step
@@ -243,7 +244,7 @@ class Exploration:
         The result is that of ``refine(model, data, effects)``.
         """
         found = refine(self.model, self.data, self.effects, horizon=self.horizon)
-        return self._enter(self._step("fit", "fit", self.effects, found))
+        return self._step("fit", "fit", self.effects, found)
 
     def undo(self) -> ExplorationStep:
         """Undo the last step and return the one before.
@@ -287,16 +288,14 @@ class Exploration:
     def _step(
         self, action: str, name: str, effects: tuple[Effect, ...], model: Refinement
     ) -> ExplorationStep:
-        return ExplorationStep(action, name, effects, model, self._by_hand.run(model), model.fit)
-
-    def _enter(self, step: ExplorationStep) -> ExplorationStep:
+        step = ExplorationStep(action, name, effects, model, self._by_hand.run(model), model.fit)
         self._steps.append(step)
         return step
 
 
 def _checked(effect: Effect, values: dict[str, float]) -> dict[str, float]:
     """Return coefficients of an effect that were given by hand."""
-    unknown = [name for name in values if name not in effect.coefficients]
-    if unknown:
-        raise ModelError(f"{effect.label} has no {unknown[0]}, only {', '.join(effect.coefficients)}")
+    for name in values:
+        if name not in effect.coefficients:
+            raise ModelError(f"{effect.label} has no {name}, only {', '.join(effect.coefficients)}")
     return {name: as_number(value, name) for name, value in values.items()}

@@ -56,20 +56,16 @@ def _figure(height: int, x: str, y: str, **options: Any) -> Any:
     options |= {"sizing_mode": "stretch_width", "tools": "pan,box_zoom,wheel_zoom,reset"}
     made = figure(height=height, x_axis_label=x, min_border_right=12, **options)
     made.yaxis.axis_label = PlainText(text=y)
-    for axis in (*made.xaxis, *made.yaxis):
-        axis.axis_label_text_font_style = "normal"
-        axis.axis_label_text_font_size = axis.major_label_text_font_size = "13px"
+    made.axis.axis_label_text_font_style = "normal"
+    made.axis.axis_label_text_font_size = made.axis.major_label_text_font_size = "13px"
     made.stylesheets = [PICTURE]
     made.toolbar.update(logo=None, autohide=True)
     return made
 
 
 def _legend(made: Any, place: str = "top_right") -> None:
-    made.legend.location = place
-    made.legend.orientation = "horizontal"
-    made.legend.background_fill_alpha = 0.8
-    made.legend.label_text_font_size = "13px"
-    made.legend.padding = made.legend.margin = 4
+    look = {"background_fill_alpha": 0.8, "label_text_font_size": "13px", "padding": 4, "margin": 4}
+    made.legend[0].update(location=place, orientation="horizontal", **look)
 
 
 def _unit(name: str, unit: str) -> str:
@@ -195,9 +191,9 @@ def _ticks(w: Array) -> FixedTicker:
     w = w[w > 0]
     first, last = int(np.floor(np.log10(w[0]))), int(np.ceil(np.log10(w[-1])))
     between = (1.0, 2.0, 5.0) if last - first <= 3 else (1.0,)
-    powers = [10.0**k for k in range(first, last + 1)]
-    minor = [m * power for power in powers for m in range(2, 10)]
-    return FixedTicker(ticks=[m * power for power in powers for m in between], minor_ticks=minor)
+    powers = 10.0 ** np.arange(first, last + 1)
+    ticks, minor = (np.outer(powers, of).ravel().tolist() for of in (between, range(2, 10)))
+    return FixedTicker(ticks=ticks, minor_ticks=minor)
 
 
 _BODE_WORDS = {"measured": "measured, ± 2 std", "initial": "initial model", "present": "present model"}
@@ -228,11 +224,12 @@ class ForcePicture:
     """
 
     def __init__(self) -> None:
-        empty = {"x_range": Range1d(-1.0, 1.0), "y_range": Range1d(-1.0, 1.0)}
-        self.figure = _figure(300, "", "missing force", **empty)
-        self.dots = ColumnDataSource({"x": [], "f": []})
-        self.means = ColumnDataSource({"x": [], "f": []})
-        self.laws = [ColumnDataSource({"x": [], "f": []}) for _ in _LAWS]
+        self.figure = _figure(
+            300, "", "missing force", x_range=Range1d(-1.0, 1.0), y_range=Range1d(-1.0, 1.0)
+        )
+        self.dots, self.means, *self.laws = (
+            ColumnDataSource({"x": [], "f": []}) for _ in range(2 + len(_LAWS))
+        )
         self.figure.scatter("x", "f", source=self.dots, color=_RECORD, size=3, alpha=0.6)
         self.figure.scatter("x", "f", source=self.means, color="#1b1e22", size=7)
         self.lines = [
@@ -293,9 +290,10 @@ class Staircase:
     def show(self, steps: Sequence[ExplorationStep]) -> None:
         """Draw the steps."""
         errors = [step.error for step in steps]
-        self.figure.xaxis.ticker = list(range(len(steps)))
+        x = list(range(len(steps)))
+        self.figure.xaxis.ticker = x
         self.figure.x_range.update(start=-0.6, end=max(len(steps), 4) - 0.4)
         self.figure.y_range.end = 1.25 * (max(errors) or 1.0)
         self.source.data = {
-            "x": list(range(len(steps))), "error": errors, "text": [f"{e:.3g} %" for e in errors]
+            "x": x, "error": errors, "text": [f"{e:.3g} %" for e in errors]
         }  # fmt: skip

@@ -7,6 +7,7 @@ import logging
 import re
 import secrets
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -18,7 +19,7 @@ import control as ct
 import panel as pn
 from bokeh.models import PrintfTickFormatter
 from bokeh.server.auth_provider import NullAuth
-from bokeh.util.token import get_token_payload
+from bokeh.util.token import check_token_signature, get_token_payload
 from tornado.httputil import HTTPHeaders, HTTPServerRequest
 from tornado.web import HTTPError, OutputTransform, RequestHandler
 
@@ -71,9 +72,12 @@ def _plain(words: str) -> str:
 def button(words: str, do: Callable[[], None], *, wide: bool = True, chosen: bool = False) -> Any:
     """A button; across its column where it is one of a list."""
     look = {"sizing_mode": "stretch_width"} if wide else {}
-    kind = "primary" if chosen else "default"
     made = pn.widgets.Button(
-        name=_plain(words), button_type=kind, stylesheets=[WIDGET], margin=(3, 8), **look
+        name=_plain(words),
+        button_type="primary" if chosen else "default",
+        stylesheets=[WIDGET],
+        margin=(3, 8),
+        **look,
     )
     made.on_click(lambda _: do())
     return made
@@ -148,10 +152,10 @@ class Background:
         self.say()
         pn.state.onload(loaded)
 
-    def soon(self, work: Callable[[], None], pause: int) -> None:
-        """Do something quick after so many ms, on the thread of the page."""
+    def soon(self, work: Callable[[], None]) -> None:
+        """Do something quick after a moment, on the thread of the page."""
         if self._served:
-            self._doc.add_timeout_callback(work, pause)
+            self._doc.add_timeout_callback(work, _PAUSE)
         else:
             work()
 
@@ -227,8 +231,9 @@ class ExplorerPage:
 
         def show(found: Check) -> None:
             odd = [f"{row.status.upper()}: {row.sentence}" for row in found.looks]
-            said = paragraphs(odd or ["Nothing odd was found."])
-            self._checked.object = said + folded("All checks", found._repr_html_())
+            self._checked.object = paragraphs(odd or ["Nothing odd was found."]) + folded(
+                "All checks", found._repr_html_()
+            )
 
         self._work.begin(begin)
 
@@ -243,8 +248,11 @@ class ExplorerPage:
             f'<p class="soft">{size}. {escape(explored.note)}</p>'
         )
         self._error = text("")
-        fit = partial(self._change, "fitting all added effects", explored.fit)
-        self._fit = button("Fit all added effects", fit, wide=False)
+        self._fit = button(
+            "Fit all added effects",
+            partial(self._change, "fitting all added effects", explored.fit),
+            wide=False,
+        )
         self._undo = button("Undo", partial(self._change, "undo", explored.undo), wide=False)
         self._effects, self._steps = column(), text("")
         self._rows, self._about_row = column(), text('<p class="soft">Search in progress …</p>')
@@ -253,8 +261,8 @@ class ExplorerPage:
         styles = (("curves", self._curves()), ("causes", self._causes()), ("answers", self._answers()))
         for area, part in styles:
             part.styles = {"grid-area": area, "min-width": "0"}
-        body = pn.Column(*(part for _, part in styles), stylesheets=[GRID], margin=0)
-        body.sizing_mode = "stretch_width"
+        body = column(*(part for _, part in styles))
+        body.stylesheets = [GRID]
         self.root = pn.Column(
             heading, self._error, self._work.status, body, sizing_mode="stretch_width", margin=10
         )
@@ -312,10 +320,11 @@ class ExplorerPage:
         self._bode.show()
         self._stairs.show(steps)
         self._say_error(steps[-1].error)
-        rows = [[str(k), step.name, f"{step.error:.3g} %"] for k, step in enumerate(steps)]
-        cells = ["".join(f"<td>{escape(cell)}</td>" for cell in row) for row in rows]
-        head = "<th>step</th><th>change</th><th>error</th>"
-        table = f"<table>{''.join(f'<tr>{row}</tr>' for row in (head, *cells))}</table>"
+        rows = "".join(
+            f"<tr><td>{k}</td><td>{escape(step.name)}</td><td>{step.error:.3g} %</td></tr>"
+            for k, step in enumerate(steps)
+        )
+        table = f"<table><tr><th>step</th><th>change</th><th>error</th></tr>{rows}</table>"
         said = paragraphs(steps[-1].refinement.warnings)
         self._steps.object = f'<div class="scroll">{table}</div>{said}'
         self._fit.disabled, self._undo.disabled = not self.explored.effects, len(steps) == 1
@@ -347,7 +356,7 @@ class ExplorerPage:
         """Follow a slider: of the moves within a moment the last one counts."""
         waiting, self._moving = self._moving is not None, (effect, name, float(event.new))
         if not waiting:
-            self._work.soon(self._preview, _PAUSE)
+            self._work.soon(self._preview)
 
     def _preview(self) -> None:
         if self._moving is None:
@@ -365,13 +374,17 @@ class ExplorerPage:
         value = float(event.new)
         if self.explored.coefficients(effect).get(name) == value:
             return
-        move = partial(self.explored.move, effect, **{name: value})
 
         def then(_: ExplorationStep) -> None:
             made.start, made.end = self.explored.reach(effect, name)
             self._stepped(rebuild=False)
 
-        self._work.later(self._work.doing, "estimating offset and initial state", move, then)
+        self._work.later(
+            self._work.doing,
+            "estimating offset and initial state",
+            partial(self.explored.move, effect, **{name: value}),
+            then,
+        )
 
     def _stepped(self, rebuild: bool = True) -> None:
         self._show_step(rebuild)
@@ -409,9 +422,10 @@ class ExplorerPage:
         said = (
             self._row.sentence if self._row is not None else "No significant failure of the model was found."
         )
-        stale = self._searched is not self.explored.steps[-1]
-        older = ["This list is from before the last step. The force below is up to date."] if stale else []
-        self._about_row.object = paragraphs([said, *older])
+        sentences = [said]
+        if self._searched is not self.explored.steps[-1]:
+            sentences.append("This list is from before the last step. The force below is up to date.")
+        self._about_row.object = paragraphs(sentences)
 
     def _look_at(self, row: Failure | None) -> None:
         """Show the force and the candidates of a row."""
@@ -434,8 +448,10 @@ class ExplorerPage:
         said = _CHANNEL_NOTE if force is None else _FORCE_NOTE
         buttons = []
         for k, one in enumerate(here[:_BUTTONS]):
-            share = "" if one.curve is None else f": explains {100 * one.share:.0f} % of this force"
-            where = "" if one.curve is None or k > 2 else f" ({_COLORS[k]} line)"
+            share = where = ""
+            if one.curve is not None:
+                share = f": explains {100 * one.share:.0f} % of this force"
+                where = f" ({_COLORS[k]} line)" if k < 3 else ""
             units = {name: unit.removeprefix("1") for name, unit in self.explored.units(one.effect).items()}
             values = [f"{n} {v:.3g} {units[n]}".rstrip() for n, v in one.coefficients.items()]
             words = f"Add {one.effect.label}{share}{where}, {', '.join(values)}"
@@ -460,8 +476,8 @@ class ExplorerPage:
                 return self.explored.report(Path(folder, "report.html")).read_bytes()
 
         def show(content: bytes) -> None:
-            name = f"Download the report of step {len(self.explored.steps) - 1}"
-            self._files.objects = [download("report.html", name, lambda: io.BytesIO(content))]
+            words = f"Download the report of step {len(self.explored.steps) - 1}"
+            self._files.objects = [download("report.html", words, partial(io.BytesIO, content))]
 
         self._work.later(LOOKING, "making the report", make, show)
 
@@ -507,43 +523,53 @@ class Visitors(NullAuth):  # type: ignore[misc]
 
         bokeh awaits it before it answers a request.
         """
-        host, headers = asking.request.host, asking.request.headers
+        request = asking.request
+        host, headers = request.host, request.headers
         origin, site = headers.get("Origin", f"http://{host}"), headers.get("Sec-Fetch-Site", "none")
         clicked = headers.get("Sec-Fetch-Mode") == "navigate" and headers.get("Sec-Fetch-User") == "?1"
         own = host in self._hosts and origin.removeprefix("http://") in self._hosts
         if not own or not (clicked or site in ("none", "same-origin")):
             raise HTTPError(403, reason="the page is not for other pages; open its own address")
-        if any(name.startswith("bokeh-") for name in (*asking.request.arguments, *map(str.lower, headers))):
+        if any(name.startswith("bokeh-") for name in (*request.arguments, *map(str.lower, headers))):
             raise HTTPError(403, reason="a session is not taken from a request; open the bare address")
-        if token := headers.get("Sec-WebSocket-Protocol", "").partition(",")[2].strip():
+        if request.path == "/ws":  # bokeh opens the socket first, and then fails at what is no token of it
             try:
-                get_token_payload(token)
-            except (ValueError, LookupError, TypeError):
-                raise HTTPError(403, reason="the token is none of this server; reload the page") from None
+                token = re.fullmatch("bokeh, (.*)", headers["Sec-WebSocket-Protocol"])[1]  # type: ignore[index]
+                late = get_token_payload(token)["session_expiry"] <= time.time()
+                key = asking.application.secret_key  # type: ignore[attr-defined]
+                known = not late and check_token_signature(token, key, True)
+            except Exception:  # it may be any text
+                known = False
+            if not known:
+                raise HTTPError(400, reason="the page is no longer known; load it again")
         return "visitor"
 
 
 class Policy(OutputTransform):
-    """Content security policy of the pages.
+    """Refusal of strange requests, and content security policy of the pages.
 
     It tells the browser what a page may load and run: files of the server, and the scripts in the page.
     """
 
     def __init__(self, request: HTTPServerRequest) -> None:
-        self._host = request.host
+        self._request, self._method = request, request.method
+        # tornado fails at a zero byte in the name of a file, but not where it does not know the method
+        if request.method not in ("GET", "HEAD") or "%00" in request.path:
+            request.method = "REFUSED"
 
     def transform_first_chunk(
         self, status_code: int, headers: HTTPHeaders, chunk: bytes, finishing: bool
     ) -> tuple[int, HTTPHeaders, bytes]:
         """Add the policy to the headers, and its nonce to the page's scripts."""
+        self._request.method = self._method  # an answer to HEAD has no body
         nonce = secrets.token_urlsafe(16)
         if headers.get("Content-Type", "").startswith("text/html"):
             chunk = re.sub(rb"<script\b", f'<script nonce="{nonce}"'.encode(), chunk)
             headers["Content-Length"] = str(len(chunk))
         headers["Content-Security-Policy"] = (
             f"default-src 'none'; script-src 'self' blob: 'nonce-{nonce}'; style-src 'self' 'unsafe-inline'; "
-            f"img-src 'self' data: blob:; font-src 'self' data:; connect-src 'self' ws://{self._host}; "
-            "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+            f"connect-src 'self' ws://{self._request.host}; img-src 'self' data: blob:; "
+            "font-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
         )
         headers["X-Content-Type-Options"], headers["Referrer-Policy"] = "nosniff", "no-referrer"
         return status_code, headers, chunk

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import secrets
 import socket
 import time
 import webbrowser
@@ -120,6 +121,8 @@ class Explorer:
             websocket_origin=hosts,
             auth_provider=Visitors(hosts),
             transforms=[Policy],
+            sign_sessions=True,
+            secret_key=secrets.token_urlsafe(),
             show=False,
             threaded=True,
             title="rcorefine explorer",
