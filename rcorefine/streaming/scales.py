@@ -1,24 +1,33 @@
-"""Checked settings, scaled model and memory of the paper's stages."""
+"""Sizes of signals, path of a correction, and why one diverges."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from ...arguments import as_array, as_number
-from ...engine.linear import state_power
-from ...exceptions import DataError, ModelError
-from ...systems.discretization import discretize
-from ...systems.linear import Array, LinearModel
-from ..persistence import check_like, check_range, storable
-from ..samples import Complex, Sampled, as_matrix, as_size
-from .kernels import PADDING, Design, Plant, Record, Stage
+from ..arguments import as_array
+from ..engine.linear import state_power
+from ..exceptions import DataError, ModelError
+from ..systems.linear import Array
+from .samples import Complex
+
+
+class Plant(NamedTuple):
+    """Discrete model: x+ = A x + B w + B_u u, y = C x + D w + D_u u."""
+
+    A: Array
+    B: Array
+    Bu: Array
+    C: Array
+    D: Array
+    Du: Array
+
 
 # A Markov parameter counts as zero below this share of the largest |C| |A^(i-1) B_u| of its entry
 # over the first n + 1 samples: what is left of an exact cancellation after rounding.
@@ -316,343 +325,6 @@ def _fill_scales(states: Array, plant: Plant, corrections: Array, n_samples: int
         moved = np.sqrt(_power(plant.A, plant.Bu * corrections, n_samples))
         states = np.where(still, moved, states)
     return np.where(states == 0.0, 1.0, states)
-
-
-storable(Design, Plant, Record, Stage, Scales)
-_GROWN = {"inputs": "samples", "outputs": "samples"}
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """Numbers that shape one stage: n_c, p, mu and alpha."""
-
-    order: int
-    window: int
-    markov: int
-    learning_rate: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Tuned:
-    """Scaled model and designs of both stages for given scales."""
-
-    scales: Scales
-    plant: Plant
-    designs: tuple[Design, Design]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Memory:
-    """State of a refiner between two calls.
-
-    Parameters
-    ----------
-    stages : tuple of two Stage
-        Both stages.
-    peak, levels : ndarray of shape (1,), (3, n_y)
-        Largest scaled output; mean squares of y, z1 and z2.
-    recent_theta : ndarray of shape (average, m)
-        Latest coefficients of stage 2, as a ring.
-    inputs, outputs : ndarray of shape (K, n_w), (K, n_y)
-        First samples, held back until they tell the scales; then empty.
-    n_samples : int
-        Samples taken, those held back included.
-    tuned : Tuned or None
-        None while samples are held back.
-    """
-
-    stages: tuple[Stage, Stage]
-    peak: Array
-    levels: Array
-    recent_theta: Array
-    inputs: Array
-    outputs: Array
-    n_samples: int
-    tuned: Tuned | None
-
-    def static_theta(self) -> Array:
-        """Return the coefficients of stage 2, averaged over the latest samples.
-
-        They include padding and are in scaled units.
-        """
-        # average over the samples learned, at most `static_average`
-        learned = int(self.stages[1].counters[4])
-        count = min(max(learned, 1), self.recent_theta.shape[0])
-        return np.asarray(self.recent_theta[:count].mean(axis=0))
-
-    def copied(self, n_samples: int) -> Memory:
-        """Independent copy of what changes in place, for so many samples."""
-        # dataclasses.replace takes as long as a stage
-        rings = self.peak.copy(), self.levels.copy(), self.recent_theta.copy()
-        stages = copied(self.stages[0]), copied(self.stages[1])
-        return Memory(stages, *rings, self.inputs, self.outputs, n_samples, self.tuned)
-
-
-def regressor_length(n: int, n_w: int, l_u: int, order: int) -> int:
-    """Length of psi: (n_c + 1) (n + n_w) + n_c l_u."""
-    return (order + 1) * (n + n_w) + order * l_u
-
-
-def start(design: Design, n: int, n_w: int, window: int, memory: int) -> Stage:
-    """Memory of a stage before the first sample: theta = 0, an empty window.
-
-    Parameters
-    ----------
-    design : Design
-        Settings of the stage.
-    n, n_w : int
-        Number of states and inputs.
-    window : int
-        Samples in the sliding window.
-    memory : int
-        Past samples that Markov parameters reach back to.
-    """
-    _, n_y, l_u = design.H.shape
-    q = regressor_length(n, n_w, l_u, design.order)
-    # length of vec(theta), padded
-    m = -(-l_u * q // PADDING) * PADDING
-    # theta = 0 and gain = (alpha I)^-1: only the regularization is known
-    return Stage(
-        theta=np.zeros(m),
-        gain=np.eye(m) / design.alpha,
-        pending=np.zeros((2, m)),
-        rows=np.zeros((window * n_y, m)),
-        offsets=np.zeros(window * n_y),
-        psi=np.zeros(q),
-        past_psi=np.zeros((memory, q)),
-        past_u=np.zeros((memory, l_u)),
-        x=np.zeros(n),
-        energy=np.zeros(1),
-        counters=np.zeros(5, dtype=np.int64),
-    )
-
-
-def copied(stage: Stage) -> Stage:
-    """Independent copy, on which a block can fail without harm."""
-    return Stage._make(map(np.ndarray.copy, stage))
-
-
-def regressor_scale(states: Array, inputs: Array, corrections: Array, order: int) -> Array:
-    """Units of psi from those of x, w and u."""
-    return np.concatenate(
-        [np.tile(states, order + 1), np.tile(inputs, order + 1), np.tile(corrections, order)]
-    )
-
-
-def in_units(theta: Array, scales: Scales, order: int) -> Array:
-    """Return coefficients in the units of the signals.
-
-    `theta` has shape (..., m) with padding, the result (..., l_u, l_psi).
-    """
-    # psi = [x(k) ... x(k - n_c); w(k) ... w(k - n_c); u(k - 1) ... u(k - n_c)]
-    units = regressor_scale(scales.states, scales.inputs, scales.corrections, order)
-    l_u, q = scales.corrections.size, units.size
-    # u = theta psi in scaled units: multiply rows by the unit of u, divide columns by that of psi
-    plain = theta[..., : l_u * q].reshape(*theta.shape[:-1], l_u, q)
-    return plain * scales.corrections[:, None] / units
-
-
-# Samples that tell the scales: a window, but no fewer and no more than this.
-LEAST_WARM_UP, MOST_WARM_UP = 50, 100
-# Signals that still grow are held back until there are this many times as many samples.
-LONGEST_WARM_UP = 16
-
-
-storable(Memory, Tuned)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Setup(Sampled):
-    """Setup of the paper's stages before the first sample.
-
-    Parameters
-    ----------
-    plant : Plant
-        Discrete arrays with B_u and D_u, in the units of the signals.
-    delay : int
-        First Markov parameter that is not zero, d.
-    settings : tuple of two Settings
-        n_c, p, mu, alpha of both stages.
-    estimated : bool
-        Whether stage 2 sees the states of stage 1.
-    average : int
-        Samples that the static coefficients are averaged over.
-    scales : Scales or None
-        Declared scales.
-    """
-
-    plant: Plant
-    delay: int
-    settings: tuple[Settings, Settings]
-    estimated: bool
-    average: int
-    scales: Scales | None
-
-    @property
-    def theta_shapes(self) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Shapes (l_u, l_psi) of the coefficients of both stages."""
-        n, n_w = self.plant.B.shape
-        l_u = self.plant.Bu.shape[1]
-        first, second = ((l_u, regressor_length(n, n_w, l_u, s.order)) for s in self.settings)
-        return first, second
-
-    def begin(self) -> Memory:
-        """Memory before the first sample."""
-        delay, n_w = self.delay, self.plant.B.shape[1]
-        n_y, l_u = self.plant.Du.shape
-        # past regressors as far back as the Markov parameters and the delay reach
-        reach = delay + max(s.markov for s in self.settings)
-
-        def empty(s: Settings) -> Stage:
-            design = Design(np.zeros((s.markov, n_y, l_u)), delay, s.order, s.learning_rate)
-            return start(design, self.plant.A.shape[0], n_w, s.window, reach)
-
-        first, second = map(empty, self.settings)
-        return Memory(
-            stages=(first, second),
-            # largest output so far over its scale
-            peak=np.ones(1),
-            levels=np.zeros((3, n_y)),
-            recent_theta=np.zeros((self.average, second.theta.size)),
-            inputs=np.zeros((0, n_w)),
-            outputs=np.zeros((0, n_y)),
-            n_samples=0,
-            tuned=None if self.scales is None else self.tuned(self.scales),
-        )
-
-    def tuned(self, scales: Scales) -> Tuned:
-        """Scale the model and cut the Markov parameters that each stage uses."""
-        # Markov parameters of the scaled model from H_d on, mu of each stage
-        scaled, delay = scaled_plant(self.plant, scales), self.delay
-        values = markov_parameters(scaled, delay + max(s.markov for s in self.settings))
-        first, second = (
-            Design(np.ascontiguousarray(values[delay : delay + s.markov]), delay, s.order, s.learning_rate)
-            for s in self.settings
-        )
-        return Tuned(scales, scaled, (first, second))
-
-    def restored(self, found: Memory) -> Memory:
-        """Return the memory from a file after checking it.
-
-        It is checked against a fresh memory. What follows from the scales is computed again.
-
-        Raises
-        ------
-        DataError
-            If a refiner with these settings cannot have left it.
-        """
-        # shapes and types as before the first sample
-        fresh = replace(self, scales=None).begin()
-        check_like(replace(found, tuned=None), fresh, "memory", _GROWN)
-        plant, n_y = self.plant, self.plant.C.shape[0]
-        # samples wait only while the scales are unknown
-        held = 0 if found.tuned else found.n_samples
-        check_range(len(found.inputs), held, held, "inputs")
-        check_range(found.peak, 1.0, np.inf, "peak")
-        # counters stay within the window and the past that are kept
-        for stage in found.stages:
-            slots, recent = stage.rows.shape[0] // n_y, stage.past_u.shape[0]
-            check_range(
-                stage.counters, 0, [slots - 1, found.n_samples, 1, recent - 1, found.n_samples], "counters"
-            )
-        if found.tuned is None:
-            return found
-        scales = found.tuned.scales
-        check_like(
-            scales,
-            Scales(*(np.ones(size) for size in (plant.B.shape[1], n_y, plant.A.shape[0], plant.Bu.shape[1]))),
-            "scales",
-        )
-        for name in ("inputs", "outputs", "states", "corrections"):
-            check_range(getattr(scales, name), np.finfo(float).tiny, np.finfo(float).max, f"scales.{name}")
-        # the scaled model follows from the scales
-        return replace(found, tuned=self.tuned(scales))
-
-    def found_scales(self, inputs: Array, outputs: Array, before: int, last: bool) -> Scales | None:
-        """Return the scales as soon as the samples determine them.
-
-        They do not depend on how the stream is cut into blocks.
-        """
-        labels = (self.initial.input_labels, self.initial.output_labels)
-        # the length doubles until the signals no longer grow
-        count = warm_up(self.settings)
-        longest = count * LONGEST_WARM_UP
-        while count <= longest and count <= inputs.shape[0]:
-            if count > before:
-                w, y = inputs[:count].T, outputs[:count].T
-                if count == longest or (is_settled(w) and is_settled(y)):
-                    return measured_scales(self.plant, w, y, labels)
-            count *= 2
-        return measured_scales(self.plant, inputs.T, outputs.T, labels) if last else None
-
-
-def warm_up(settings: tuple[Settings, Settings]) -> int:
-    """Return the number of samples that determine the scales.
-
-    It is the length of a window, within a lower and an upper limit.
-    """
-    return min(max(settings[0].window, LEAST_WARM_UP), MOST_WARM_UP)
-
-
-def make_setup(
-    model: Sampled,
-    given: Mapping[str, Any],
-    settings: tuple[Settings, Settings],
-    estimated: bool,
-    average: int,
-) -> Setup:
-    """Check the arguments of the paper's stages and prepare the model.
-
-    `given` are the arguments of `RCORefiner`.
-    """
-    initial, discrete, step = model.initial, model.discrete, model.step
-    # B_u and D_u, by default those of the inputs
-    b_u, d_u = correction_path(initial, given)
-    # the correction acts as a held input, too
-    if initial.is_continuous and step is not None:
-        b_u = discretize(initial.A, b_u, step)[1]
-    arrays = (discrete.A, discrete.B, b_u, discrete.C, discrete.D, d_u)
-    plant = Plant(*(np.ascontiguousarray(array) for array in arrays))
-    # relative degree of the path u -> y, and each correction must act on an output
-    delay = relative_degree(plant)
-    column_delays(plant)
-    scales = declared_scales(plant, given["scale"], warm_up(settings))
-    return Setup(initial, discrete, step, plant, delay, settings, estimated, average, scales)
-
-
-def as_settings(given: Mapping[str, Any], defaults: Mapping[str, Any]) -> tuple[Settings, Settings]:
-    """Return the checked settings n_c, p, mu and alpha of both stages.
-
-    Those of stage 2 default to those of stage 1.
-    """
-
-    def stage(prefix: str) -> Settings:
-        # stage 2 takes the settings of stage 1 where it has none
-        def first(name: str) -> Any:
-            own = (one for n in (prefix + name, name) for one in (given[n], defaults.get(n)))
-            return next((one for one in own if one is not None), None)
-
-        return Settings(
-            as_size(first("order"), f"{prefix}order", 0, "n_c"),
-            as_size(first("window"), f"{prefix}window", 1, "p"),
-            as_size(first("markov"), f"{prefix}markov", 1, "mu"),
-            as_number(first("learning_rate"), f"{prefix}learning_rate (alpha)", above=0.0, error=ModelError),
-        )
-
-    return stage(""), stage("static_")
-
-
-def correction_path(model: LinearModel, given: Mapping[str, Any]) -> tuple[Array, Array]:
-    """Return B_u and D_u in the timebase of the model.
-
-    By default they are those of its inputs.
-    """
-    b_u, d_u, n_y = given["correction_input"], given["correction_feedthrough"], model.n_outputs
-    acts = model.B if b_u is None else as_matrix(b_u, "correction_input (B_u)", model.n_states, None, "state")
-    l_u = acts.shape[1]
-    if d_u is not None:
-        return acts, as_matrix(d_u, "correction_feedthrough (D_u)", n_y, l_u, "output")
-    return acts, model.D if b_u is None else np.zeros((n_y, l_u))
 
 
 # Samples of the impulse response that the first Markov parameter is compared with.
