@@ -26,13 +26,12 @@ from .samples import Block, Integers, Sampled, as_matrix, as_size, whole_block
 from .scales import (
     Plant,
     Scales,
-    column_delays,
     declared_scales,
     explain,
+    first_responses,
     is_settled,
     markov_parameters,
     measured_scales,
-    relative_degree,
     scaled_plant,
 )
 
@@ -329,8 +328,7 @@ class PaperStages:
             b_u = discretize(model.A, b_u, sampled.step)[1]
         arrays = (discrete.A, discrete.B, b_u, discrete.C, discrete.D, d_u)
         self.plant = Plant(*map(np.ascontiguousarray, arrays))
-        self.delay = relative_degree(self.plant)
-        column_delays(self.plant)  # each correction must act on an output
+        self.delay, _ = first_responses(self.plant)
         self._warm_up = min(max(self.settings.window[0], _LEAST), _MOST)
         self._declared = declared_scales(self.plant, given.get("scale", "auto"), self._warm_up)
         self.reset()

@@ -8,8 +8,6 @@ from typing import Any, NamedTuple
 
 import control as ct
 import numpy as np
-from numpy.typing import NDArray
-from scipy import linalg
 
 from ..arguments import as_array
 from ..engine.linear import state_power
@@ -46,93 +44,56 @@ def markov_parameters(plant: Plant, count: int) -> Array:
     return values
 
 
-def _nonzero(plant: Plant) -> tuple[Array, NDArray[np.bool_]]:
-    """Return n + 1 Markov parameters after H_0, and the nonzero entries.
+def first_responses(plant: Plant) -> tuple[int, Array]:
+    """Return when corrections first show in the outputs, and how.
 
-    An entry counts as nonzero if it exceeds the rounding error.
-    """
-    # by Cayley and Hamilton's theorem: if these are zero, all are
-    count = plant.A.shape[0] + 2
-    values = markov_parameters(plant, count)
-    # bound of each entry without cancellation
-    bound = np.abs(plant.Du)
-    power = plant.Bu
-    for _ in range(1, count):
-        bound = np.maximum(bound, np.abs(plant.C) @ np.abs(power))
-        power = plant.A @ power
-    return values, np.abs(values) > TOLERANCE * bound
-
-
-def relative_degree(plant: Plant) -> int:
-    """Return the index d of the first nonzero Markov parameter.
-
-    With feedthrough, d = 0.
-
-    Raises
-    ------
-    ModelError
-        If the correction reaches no output at all.
-    """
-    _, nonzero = _nonzero(plant)
-    # (n_y, l_u) entries: one that is not zero is enough
-    reached = nonzero.any(axis=(1, 2))
-    if not reached.any():
-        raise ModelError(
-            "the correction reaches no output: every Markov parameter D_u, C A^i B_u is zero; "
-            "choose correction_input (B_u) so that it drives a state that the outputs see"
-        )
-    return int(np.argmax(reached))
-
-
-def column_delays(plant: Plant) -> Array:
-    """Return the first nonzero Markov parameter of each correction.
-
-    The shape is (n_y, l_u).
+    Returns
+    -------
+    delay : int
+        Index d of the first Markov parameter that is not zero; with feedthrough 0.
+    first : ndarray of shape (n_y, l_u)
+        First nonzero Markov parameter of each correction.
 
     Raises
     ------
     ModelError
         If a correction reaches no output.
     """
-    values, nonzero = _nonzero(plant)
-    reached = nonzero.any(axis=1)
+    # by Cayley and Hamilton's theorem: if these are zero, all are
+    count = plant.A.shape[0] + 2
+    values = markov_parameters(plant, count)
+    # bound of each entry without cancellation
+    bound, power = np.abs(plant.Du), plant.Bu
+    for _ in range(1, count):
+        bound = np.maximum(bound, np.abs(plant.C) @ np.abs(power))
+        power = plant.A @ power
+    reached = (np.abs(values) > TOLERANCE * bound).any(axis=1)
     dead = ~reached.any(axis=0)
+    if dead.all():
+        raise ModelError(
+            "the correction reaches no output: every Markov parameter D_u, C A^i B_u is zero; "
+            "choose correction_input (B_u) so that it drives a state that the outputs see"
+        )
     if dead.any():
         raise ModelError(
             f"correction {int(np.argmax(dead))} (column of B_u, D_u) reaches no output; "
             "leave the column out, or measure where it acts"
         )
-    # column c of the first H_i that is not zero for correction c, (n_y, l_u)
+    # column c of the first H_i that is not zero for correction c
     first = np.argmax(reached, axis=0)
-    return np.stack([values[first[c], :, c] for c in range(first.size)], axis=1)
+    return int(first.min()), np.stack([values[i, :, c] for c, i in enumerate(first)], axis=1)
 
 
-def path_zeros(plant: Plant) -> Complex:
+def _path_zeros(plant: Plant) -> Complex:
     """Return the finite zeros of the path u -> y.
 
     They are invariant zeros if the path is square, otherwise the zeros of every single path.
     """
-    n_y, l_u = plant.Du.shape
-    # square path: invariant zeros; otherwise those of each pair of output and correction
-    if n_y == l_u:
-        pairs = [(slice(None), slice(None))]
-    else:
-        pairs = [(slice(r, r + 1), slice(c, c + 1)) for r in range(n_y) for c in range(l_u)]
-    found = [_invariant_zeros(plant.A, plant.Bu[:, c], plant.C[r], plant.Du[r, c]) for r, c in pairs]
-    return np.concatenate([*found, np.zeros(0, dtype=complex)])
-
-
-def _invariant_zeros(a: Array, b: Array, c: Array, d: Array) -> Complex:
-    n = a.shape[0]
-    # Rosenbrock's pencil [A - zI, B; C, D]: its generalized eigenvalues are the zeros
-    pencil = np.block([[a, b], [c, d]])
-    mass = np.zeros_like(pencil)
-    mass[:n, :n] = np.eye(n)
-    alpha, beta = linalg.eig(pencil, mass, right=False, homogeneous_eigvals=True)
-    # infinite eigenvalues belong to the relative degree
-    finite = np.abs(beta) > 1e-10 * np.maximum(np.abs(alpha), 1e-300)
-    zeros = np.asarray(alpha[finite] / beta[finite], dtype=complex)
-    return np.asarray(zeros[np.isfinite(zeros)])
+    path = ct.ss(plant.A, plant.Bu, plant.C, plant.Du, True)
+    if path.ninputs == path.noutputs:
+        return np.asarray(path.zeros(), dtype=complex)
+    alone = [path[r, c].zeros() for r in range(path.noutputs) for c in range(path.ninputs)]
+    return np.concatenate(alone, dtype=complex)
 
 
 # Signals count as settled when the second half of a stretch is at most this much larger than the first.
@@ -287,7 +248,7 @@ def _correction_scales(plant: Plant, outputs: Array) -> Array:
     So alpha means the same whatever the unit of the correction and however
     fast the sampling.
     """
-    return np.asarray(1.0 / np.linalg.norm(column_delays(plant) / outputs[:, None], axis=0))
+    return np.asarray(1.0 / np.linalg.norm(first_responses(plant)[1] / outputs[:, None], axis=0))
 
 
 def _power(a: Array, b: Array, n_samples: int) -> Array:
@@ -374,8 +335,8 @@ def explain(
 
 def _zeros(plant: Plant, markov_name: str, markov: int) -> str:
     try:
-        zeros = path_zeros(plant)
-    except np.linalg.LinAlgError:  # numbers hundreds of decades apart
+        zeros = _path_zeros(plant)
+    except (np.linalg.LinAlgError, ValueError):  # numbers hundreds of decades apart
         return "Zeros: those of the path from the correction to the outputs cannot be computed."
     # retrospective cost inverts the path: zeros outside the unit circle become unstable poles
     outside = zeros[np.abs(zeros) >= 1.0 - 1e-9]
