@@ -304,7 +304,7 @@ def test_static_gain_model() -> None:
     """No state at all: the correction acts through D_u, d = 0."""
     rng = np.random.default_rng(0)
     w = rng.standard_normal((1, 400))
-    refiner = rco.RCORefiner.paper(ct.ss([], [], [], [[2.0]], 0.1), order=0, learning_rate=1.0)
+    refiner = rco.RCORefiner(ct.ss([], [], [], [[2.0]], 0.1), order=0, learning_rate=1.0)
     refiner.update(w, 3.0 * w)
     assert refiner.system.D[0, 0] == pytest.approx(3.0, rel=1e-6)
 

@@ -18,11 +18,12 @@ import numpy as np
 
 from ..data.measurement import Measurement
 from ..engine.engine import Engine
-from ..engine.observer import leading_gain, observer_gain
+from ..engine.observer import leading_gain
 from ..engine.structure import Structure
 from ..exceptions import DivergenceError
 from ..gauss_newton import Minimum, Rows, gauss_newton
 from ..inference.whitening import autoregression, highest_order, stable_model
+from ..systems.conversion import to_discrete
 from ..systems.linear import Array
 from .families import MILESTONES, Family
 from .persistence import storable
@@ -37,6 +38,7 @@ _FEW = 0.1  # share of outliers in a block that is otherwise fine
 _SOON, _TIMES = 500, 3  # surprises within so many samples: not the state alone was wrong
 _FLOOR = 1e-8  # of the size of an output: its rounding
 _WEAK = 0.1  # of its prior deviation: a direction that the first samples hardly determined
+_EXCITED = 0.1  # information over what is forgotten, from which on all of that is forgotten
 _NOISE = 0.03  # of the size of an output: first guess of the noise
 
 
@@ -55,7 +57,7 @@ class FilterState:
     filters, scales : ndarray of shape (n_y, m + 1), (n_y,)
         Whitening filters of the noise, and standard deviations of its innovations.
     gain : ndarray of shape (n, n_y)
-        Observer gain K of an unstable model, or under unknown forces; zero for a free run.
+        Observer gain of an unstable model; zero for a free run.
     past : Block
         Last samples, as many as the whitening filters look back on.
     before : ndarray of shape (K, n_w)
@@ -140,6 +142,13 @@ class BlockFilter:
         self.family, self.settings = family, family.settings
         self.n, self.ny = family.structure(np.zeros(0)).n_states, family.model.n_outputs
 
+        # samples that are fitted together: no more than the memory that forgetting leaves
+        memory = 1.0 / max(1.0 - self.settings.forgetting, 1e-9)
+        self._last = max([n for n in MILESTONES if n <= memory], default=MILESTONES[0])
+        # what a unit of each input adds to z in a sample
+        pushes = to_discrete(family.physical.linear, family.settings.dt).B
+        self._pushes = np.pad(pushes, ((0, self.n + family.start().size - len(pushes)), (0, 0)))
+
     def begin(self, n_samples: int = 0) -> FilterState:
         """State before the first sample."""
         family, n, ny = self.family, self.n, self.ny
@@ -172,7 +181,7 @@ class BlockFilter:
             return self.begin(n_samples), found
         if state.collects and known and age in MILESTONES and age >= self.family.least:
             after = self.fit(after, first)
-        if age >= MILESTONES[-1] or not known:
+        if age >= self._last or not known:
             after = replace(after, first=first.part(0, 0), collects=False)
         return after, found
 
@@ -193,7 +202,7 @@ class BlockFilter:
         use = whole.use > 0
         use[:q] &= False
         # forgetting and unknown forces loosen what is known
-        L, at = state.L, np.concatenate([state.z[:n], self._centre(state)])
+        L, at, loose = state.L, np.concatenate([state.z[:n], self._centre(state)]), settings.forgetting < 1
         for _ in range(_ROUNDS):
             model = self._simulate(state, whole, at)
             if model is None:
@@ -209,8 +218,9 @@ class BlockFilter:
                     return self._surprised(state, block), self.unlearned(state, block)
                 use[rows[0][far], rows[1][far]] = False
                 continue
-            if settings.forgetting < 1:
-                L, A = _forget(L, A, settings.forgetting**N)
+            if loose:
+                wider, loose = _forget(L, solved.root, n, settings.forgetting**N), False
+                L, A = L @ wider, A @ wider
                 solved = _Solved(A, e)
             # z = z + K r, P = P - K H P
             z = state.z + L @ solved.mean
@@ -249,7 +259,8 @@ class BlockFilter:
         p, q = prior.root.shape
         z0, L = np.concatenate([np.zeros(n), prior.theta]), np.zeros((n + p, n + q))
         L[:n, :n], L[n:, n:] = np.diag(new.reach), prior.root
-        starts = [prior.start, state.z[n:]][: 1 + (state.rounds > 0 and p > 0)]
+        starts = [prior.start, prior.theta, state.z[n:]]
+        starts = [one for i, one in enumerate(starts) if not any(np.array_equal(one, o) for o in starts[:i])]
         found = [np.linalg.lstsq(prior.root, start - prior.theta, rcond=None)[0] for start in starts]
         points, use = [np.concatenate([np.zeros(n), zeta]) for zeta in found], first.use > 0
         for white in (True, True, False):
@@ -271,10 +282,10 @@ class BlockFilter:
         z, root = z0 + L @ best.point, L @ solved.root
         z[n:] = np.clip(z[n:], *family.bounds)
         new = replace(new, centre=z[n:].copy(), left=v[-_RING:])
-        if family.one_to_one and len(v) == MILESTONES[-1]:
+        if family.one_to_one and len(v) == self._last:
             root, still = _held(root, n, prior.spread)
             new = replace(new, held=new.held + still)
-        if len(v) == 128 or state.rounds == 0:
+        if len(v) == 128 and state.begun == 0:  # enough samples for the error of a mean
             family.check(first, v)
         return self._move_on(new, first, z, root, None)
 
@@ -355,7 +366,9 @@ class BlockFilter:
         """Whitening filters and scales from residuals (N, n_y)."""
         if self.settings.noise.any():
             return np.ones((self.ny, 1)), self.settings.noise
-        longest = 0 if self.family.remembers else highest_order(len(v))
+        # what a changing plant leaves is no noise of the sensors
+        white = self.family.remembers or self.settings.disturbance > 0 or self.settings.forgetting < 1
+        longest = 0 if white else highest_order(len(v))
         longest = longest if most is None else min(most, longest)
         filters, scales = np.eye(1, 1 + longest).repeat(self.ny, axis=0), np.zeros(self.ny)
         share = 1.0 - min(explained / max(there.sum(), 1), 0.5)  # degrees of freedom that are left
@@ -372,15 +385,14 @@ class BlockFilter:
         return filters[:, : orders[-1] + 1], np.hypot(scales, _FLOOR * sizes)
 
     def _gain(self, first: Block) -> Array:
-        """Observer gain where the model has no free run, or unknown forces act."""
+        """Observer gain where the model has no free run."""
         physical, settings = self.family.physical, self.settings
         bare = Structure(physical)
         data = Measurement(first.inputs.T, first.outputs.T, dt=settings.dt, hold=settings.hold)
-        if settings.disturbance > 0 and physical.linear.n_states:
-            found = observer_gain(bare, np.zeros(0), data, settings.disturbance, at="inputs")
-        else:
-            found = leading_gain(bare, data)
-        return np.zeros((self.n, self.ny)) if found is None or not np.isfinite(found).all() else found
+        found = leading_gain(bare, data)
+        if found is None or not np.isfinite(found).all():
+            return np.zeros((self.n, self.ny))
+        return np.pad(found, ((0, self.n - len(found)), (0, 0)))
 
     def _reach(self, state: FilterState, first: Block, theta: Array) -> Array:
         """Sizes of the states, three times as large as what they reach or outputs show."""
@@ -409,6 +421,10 @@ class BlockFilter:
         # x = f(z), P = F P F' with the derivatives F of x by z
         model, point = about
         x, L = model.states[-1] + model.F @ (z - point), np.vstack([model.F @ root, root[n:]])
+        if self.settings.disturbance > 0:  # P = F P F' + Q for unknown forces held over each sample
+            force = self.settings.disturbance * np.sqrt(np.sum(whole.inputs**2, axis=0))
+            U, sizes, _ = np.linalg.svd(np.hstack([L, self._pushes * force]), full_matrices=False)
+            L = (U * sizes)[:, : L.shape[1]]
         inputs = np.concatenate([state.before, whole.inputs[:at]])
         lag = self.family.lag
         return replace(
@@ -491,15 +507,16 @@ class _Solved:
     """
 
     def __init__(self, A: Array, e: Array) -> None:
-        information = A.T @ A
-        lower = np.linalg.cholesky(np.eye(len(information)) + information)
-        half = np.linalg.solve(lower, A.T @ e)
-        self.root = np.linalg.inv(lower).T  # (I + A'A)^-1 = root root'
+        d = A.shape[1]
+        # R'R = I + A'A by orthogonal transformations: it has no smaller pivot than one
+        R = np.linalg.qr(np.vstack([A, np.eye(d)]), mode="r")
+        self.root = np.linalg.inv(R)  # (I + A'A)^-1 = root root'
+        half = self.root.T @ (A.T @ e)
         self.mean = self.root @ half
         #: mean of e' S^-1 e, the normalized innovations squared
         self.surprise = float(e @ e - half @ half) / max(e.size, 1)
         #: number of coefficients that the block determines
-        self.explained = float(len(A.T) - np.sum(self.root**2))
+        self.explained = float(d - np.sum(self.root**2))
 
 
 def _held(root: Array, n: int, spread: Array) -> tuple[Array, Array]:
@@ -515,11 +532,14 @@ def _held(root: Array, n: int, spread: Array) -> tuple[Array, Array]:
     return kept, root[n:] @ weak @ root[n:].T
 
 
-def _forget(L: Array, A: Array, kept: float) -> tuple[Array, Array]:
-    """Widen the covariance along the directions that a block informs of.
+def _forget(L: Array, root: Array, n: int, kept: float) -> Array:
+    """Widening W of the covariance, P = L W W' L', along directions of theta that a block informs of.
 
-    No direction forgets more than it learns (Kulhavy, Kybernetika 23 (1987) 1).
+    A direction that learns little forgets in proportion (Kulhavy, Kybernetika 23 (1987) 1). `root` is that of
+    the block's update.
     """
-    learned, V = np.linalg.eigh(A.T @ A)
-    wider = V * np.sqrt(1.0 + np.minimum(1.0 / kept - 1.0, np.maximum(learned, 0.0)))
-    return L @ wider, A @ wider
+    # theta depends on the columns of U alone; theirs are the first L.shape[1] - n
+    U = np.linalg.qr(L[n:].T, mode="complete")[0][:, : L.shape[1] - n]
+    left, V = np.linalg.eigh(U.T @ root @ root.T @ U)  # of their unit variances, after the block
+    f = 1.0 + np.clip((1.0 / np.maximum(left, 1e-12) - 1.0) / _EXCITED, 0.0, 1.0 / kept - 1.0)
+    return np.eye(len(U)) + (U @ V * (np.sqrt(f) - 1.0)) @ (U @ V).T

@@ -136,6 +136,7 @@ class Forms:
         self.state_ = FormsState(states, nothing, (), nothing, {}, (form, False), {}, {}, 0, 0, self._silent)
         self.records: dict[str, list[tuple[Course, Array]]] = {name: [] for name in states}
         self._waiting: list[Block] = []
+        self._ahead: list[Block] = []  # samples that stage 1 has not seen
         if self.first is not None:
             self.first.reset()
 
@@ -163,21 +164,29 @@ class Forms:
         """
         if self.n_samples + len(block.inputs) < self._end(self.n_learned):
             self._waiting.append(block)
+            self._ahead.append(block)
             return
         whole, state, position = Block.joined([*self._waiting, block]), self.state_, 0
         records: dict[str, list[tuple[Course, Array]]] = {name: [] for name in self.filters}
         while (size := self._end(state.n_learned) - state.n_learned) <= len(whole.inputs) - position:
             state = self._step(state, whole.part(position, position + size), records)
             position += size
-        if self.first is not None and not state.silent:
-            try:
-                self.first.take(whole.part(0, position), keep_sound=True)
-            # stage 1 may stop; the static stage goes on without it
-            except RCOError as error:
-                state = replace(state, silent=f"Stage 1 stopped: {error}")
+        self._ahead.append(block)
         self.state_, self._waiting = state, [whole.part(position, len(whole.inputs))]
         for name, found in records.items() if self.keep else ():
             self.records[name] += found
+        self._stage_one()
+
+    def _stage_one(self) -> PaperStages | None:
+        """Stage 1, once it has learned from all samples."""
+        if self.first is not None and self._ahead and not self.state_.silent:
+            try:
+                self.first.take(Block.joined(self._ahead), keep_sound=True)
+            # stage 1 may stop; the static stage goes on without it
+            except RCOError as error:
+                self.state_ = replace(self.state_, silent=f"Stage 1 stopped: {error}")
+        self._ahead = []
+        return self.first
 
     def finish(self) -> None:
         """Learn from what waits for the first fit, however short."""
@@ -190,8 +199,8 @@ class Forms:
                 self._waiting = []
         filters = {name: one.finish(state.filters[name]) for name, one in self.filters.items()}
         self.state_ = replace(state, filters=filters)
-        if self.first is not None and not state.silent:
-            self.first.finish()
+        if (first := self._stage_one()) is not None and not self.state_.silent:
+            first.finish()
 
     def _step(self, state: FormsState, block: Block, records: dict[str, Any]) -> FormsState:
         """State after one block."""
@@ -346,11 +355,11 @@ class Forms:
     @property
     def scales(self) -> Any:
         """Sizes that stage 1 divides signals by."""
-        return None if self.first is None else self.first.scales
+        return None if (first := self._stage_one()) is None else first.scales
 
     def dynamic_theta(self) -> Array:
         """Coefficients of stage 1."""
-        return np.zeros((0, 0)) if self.first is None else self.first.theta(0)
+        return np.zeros((0, 0)) if (first := self._stage_one()) is None else first.theta(0)
 
     def predict(self, inputs: Array) -> Array:
         """Free run on further inputs of shape (N, n_w); outputs of shape (n_y, N)."""
@@ -372,7 +381,8 @@ class Forms:
             block = Block.joined(waiting)
             records.append((one.unlearned(state, block), np.where(block.use, block.outputs, np.nan)))
         y = joined([y for _, y in records], (self.model.n_outputs,))
-        total, first = y.shape[1], None if self.first is None else self.first.history()
+        total, first = y.shape[1], self._stage_one()
+        stage = None if first is None else first.history()
 
         def beside(values: Array | None, rows: int) -> Array:
             values = np.zeros((rows, 0)) if values is None else values[:, :total]
@@ -388,9 +398,9 @@ class Forms:
             coefficients=theta,
             poles=poles_of([one.family.system(theta[:, k], "") for k in at], self.settings.dt),
             pole_timepts=timepts[at],
-            z1=beside(None if first is None else first.z1, len(y)),
+            z1=beside(None if stage is None else stage.z1, len(y)),
             z2=joined([course.predicted for course, _ in records], (len(y),)) - y,
-            x_D=beside(None if first is None else first.x, self.model.n_states),
+            x_D=beside(None if stage is None else stage.x, self.model.n_states),
             x=joined([course.x for course, _ in records], (one.n,)),
             y=y,
             names=tuple(f"discrete {name}" for name in names) if one.family.translates else names,
@@ -399,6 +409,7 @@ class Forms:
 
     def summary(self) -> Summary:
         """Cells and sentences of `str`."""
+        self._stage_one()
         (form, grows), state = self._chosen, self.state_
         one, now = self.filters[form], state.filters[form]
         what = f"form {form!r} of the static stage" if self._competing else f"{now.centre.size} coefficients"
@@ -430,7 +441,7 @@ class Forms:
         # as many rows as a block has, so that files do not grow and shrink
         waiting = Block.joined([self.state_.waiting, *self._waiting])
         empty = Block(*(np.zeros((2 * _FIRST - len(part), *part.shape[1:]), part.dtype) for part in waiting))
-        first = None if self.first is None else self.first.state()
+        first = None if (first := self._stage_one()) is None else first.state()
         count = len(waiting.inputs)
         return {
             "forms": replace(self.state_, waiting=Block.joined([waiting, empty])), "count": count,
@@ -442,7 +453,7 @@ class Forms:
         forms, count = state["forms"], state["count"]
         self.records = state["records"]
         self.state_ = replace(forms, waiting=forms.waiting.part(0, 0))
-        self._waiting = [forms.waiting.part(0, count)]
+        self._waiting, self._ahead = [forms.waiting.part(0, count)], []
         if self.first is not None:
             self.first.restore(state["first"])
 

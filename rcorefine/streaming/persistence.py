@@ -29,7 +29,7 @@ from ..models.ports import Port
 from ..systems.linear import LinearModel
 from ..writing import damaged, read_archive, replacing
 
-SCHEMA = 1  # of the file; raised when an older reader could misread it
+SCHEMA = 2  # of the file; raised when an older reader could misread it
 _META = "meta"
 _KINDS: dict[str, Any] = {
     kind.__name__: kind for kind in (LinearModel, PhysicalModel, NominalParameter, Port, Table)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from ..arguments import as_choice, as_flag, as_list, as_whole
 from ..data.measurement import Measurement
 from ..effects.effect import Effect
-from ..exceptions import DataError, ModelError, RCOError, warn
+from ..exceptions import ModelError, RCOError, warn
 from ..models.operating_point import check_stream_hold
 from ..models.physical_model import PhysicalModel
 from ..progress import Progress
@@ -422,8 +422,6 @@ class RCORefiner(Locked, Result):
         # build a fresh refiner, compare the saved memory with its memory, then take it over
         content = read_file(path, laws)
         with damaged(path):
-            if "paper" not in content:
-                raise DataError("it was saved by version 0.2 of rcorefine; run the samples through a new refiner")
             make = cls.paper if content["paper"] else cls
             refiner = make(content["model"], dt=content["dt"], **content["settings"])
             check_like(content["latest"], refiner._latest, "latest")

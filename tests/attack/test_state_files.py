@@ -37,7 +37,8 @@ def signals(n, stiffness=55.0, seed=12):
 
 
 def refiner(n, **settings):
-    one = rco.RCORefiner(cart(), dt=0.02, **settings)
+    make = rco.RCORefiner.paper if "window" in settings else rco.RCORefiner
+    one = make(cart(), dt=0.02, **settings)
     w, y = signals(n, 48.0)
     one.update(w, y)
     return one
@@ -222,7 +223,7 @@ def test_a_file_of_the_other_kind_is_said_to_be_one(tmp_path):
         rco.RCORefiner.load(tmp_path / "monitor.npz")
     with pytest.raises(rco.DataError, match="holds no monitor"):
         rco.Monitor.load(tmp_path / "refiner.npz")
-    np.savez(tmp_path / "list.npz", meta=np.array(json.dumps({"schema": 1, "content": {"list": []}})))
+    np.savez(tmp_path / "list.npz", meta=np.array(json.dumps({"schema": 2, "content": {"list": []}})))
     with pytest.raises(rco.DataError, match="holds no refiner"):
         rco.RCORefiner.load(tmp_path / "list.npz")
     np.savez(tmp_path / "deep.npz", meta=np.array('{"a":' * 5000 + "1" + "}" * 5000))
