@@ -287,19 +287,19 @@ class Effects(Family):
         data, labels = _bridged(first, self.settings), self.model.output_labels
         taken = [effect.place for effect in self.effects if effect.spec.holds_constant]
         size = np.where(np.isin(labels, taken), np.inf, np.sqrt(np.mean(data.outputs**2, axis=1)))
-        # standard error of a mean: sqrt(S(0) / N), the spectrum at zero from the autoregressive model
-        models = [autoregression(row[np.isfinite(row)]) for row in left.T]
-        error = np.array([np.sqrt(v / len(left)) / max(abs(a.sum()), 1e-300) for a, v in models])
-        suspect = np.abs(np.nanmean(left, axis=0)) > np.maximum(_FAR * error, _FLAT * size)
+        mean, error, _ = _means(left.T)
+        suspect = np.abs(mean) > np.maximum(_FAR * error, _FLAT * size)
         with unheard(RCOWarning):
-            before = compare(self.physical, data).residual
-            means = np.abs(before.mean(axis=1))
-            large = ~suspect & (means > np.maximum(before.std(axis=1), _FLAT * size))
+            mean, _, spread = _means(compare(self.physical, data).residual)
+            large = ~suspect & (np.abs(mean) > np.maximum(spread, _FLAT * size))
             if large.any():
                 offsets = [Effect(OutputOffset.name, labels[i]) for i in np.flatnonzero(large)]
-                beside = refine(self.physical, data, [*self.effects, *offsets], offset=False)
-                gain = len(left) * np.log(np.nanmean(left**2, axis=0) / np.maximum(beside.rmse, 1e-300) ** 2)
-                suspect |= large & (gain > _FAR**2)
+                beside = compare(refine(self.physical, data, [*self.effects, *offsets], offset=False), data).residual
+                _, error, spread = _means(beside)
+                gain = len(left) * np.log(np.nanmean(left.T**2, axis=1) / np.maximum(np.mean(beside**2, axis=1), 1e-300))
+                # colored noise: fewer independent samples than samples
+                wide = np.maximum(1.0, len(left) * (error / np.maximum(spread, 1e-300)) ** 2)
+                suspect |= large & (gain > _FAR**2 * wide)
         for i in np.flatnonzero(suspect):
             warn(
                 f"output {labels[i]!r}: the first samples have an offset that is not in the model and "
@@ -307,6 +307,18 @@ class Effects(Family):
                 f"rco.Effect({OutputOffset.name!r}, {labels[i]!r})",
                 IdentifiabilityWarning,
             )
+
+
+def _means(left: Array) -> tuple[Array, Array, Array]:
+    """Mean of each row (n_y, N), its standard error in colored noise, and the deviation of the samples."""
+    found = []
+    for row in left:
+        row = row[np.isfinite(row)]
+        # standard error of a mean: sqrt(S(0) / N), the spectrum at zero from the autoregressive model
+        a, variance = autoregression(row)
+        found.append((row.mean(), np.sqrt(variance / row.size) / max(abs(a.sum()), 1e-300), row.std()))
+    mean, error, spread = np.array(found).T
+    return mean, error, spread
 
 
 @lru_cache(maxsize=64)

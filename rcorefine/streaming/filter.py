@@ -38,7 +38,8 @@ _FEW = 0.1  # share of outliers in a block that is otherwise fine
 _SOON, _TIMES = 500, 3  # surprises within so many samples: not the state alone was wrong
 _FLOOR = 1e-8  # of the size of an output: its rounding
 _WEAK = 0.1  # of its prior deviation: a direction that the first samples hardly determined
-_EXCITED = 0.1  # information over what is forgotten, from which on all of that is forgotten
+_EXCITED = 0.1  # information of a block over what is forgotten, from which on all of that is forgotten
+_SILENT = 1e-2  # information of a sample over that of the first ones: below it nothing is forgotten
 _NOISE = 0.03  # of the size of an output: first guess of the noise
 
 
@@ -72,6 +73,8 @@ class FilterState:
         Standard deviations of the prior; its part along which coefficients are held.
     sizes, reach : ndarray of shape (n_y,), (n,)
         Sizes of outputs and states in the first samples.
+    power : float
+        Information of a sample about the coefficients, over that of their prior, in the first samples.
     widths : ndarray
         Smoothing width of each law that has one, NaN for others.
     n_samples, begun : int
@@ -97,6 +100,7 @@ class FilterState:
     held: Array
     sizes: Array
     reach: Array
+    power: float
     widths: Array
     n_samples: int
     begun: int
@@ -159,7 +163,7 @@ class BlockFilter:
             filters=np.ones((ny, 1)), scales=np.ones(ny), gain=np.zeros((n, ny)), past=nothing, before=nothing.inputs,
             inner=np.zeros(0), first=nothing,
             left=np.zeros((0, ny)), spread=np.full(p, np.inf), held=np.zeros((p, p)), sizes=np.ones(ny),
-            reach=np.ones(n), widths=np.zeros(0), n_samples=n_samples, begun=n_samples, collects=True, rounds=0, surprises=0,
+            reach=np.ones(n), power=0.0, widths=np.zeros(0), n_samples=n_samples, begun=n_samples, collects=True, rounds=0, surprises=0,
             surprised=0,
         )  # fmt: skip
 
@@ -218,7 +222,7 @@ class BlockFilter:
                     return self._surprised(state, block), self.unlearned(state, block)
                 use[rows[0][far], rows[1][far]] = False
                 continue
-            if loose:
+            if loose and self._power(state, model, use) > _SILENT * state.power:
                 wider, loose = _forget(L, solved.root, n, settings.forgetting**N), False
                 L, A = L @ wider, A @ wider
                 solved = _Solved(A, e)
@@ -281,7 +285,8 @@ class BlockFilter:
             new = replace(new, filters=filters, scales=scales)
         z, root = z0 + L @ best.point, L @ solved.root
         z[n:] = np.clip(z[n:], *family.bounds)
-        new = replace(new, centre=z[n:].copy(), left=v[-_RING:])
+        power = self._power(new, best.rows.more, use)
+        new = replace(new, centre=z[n:].copy(), left=v[-_RING:], power=power)
         if family.one_to_one and len(v) == self._last:
             root, still = _held(root, n, prior.spread)
             new = replace(new, held=new.held + still)
@@ -383,6 +388,11 @@ class BlockFilter:
             filters[i, : a.size], scales[i] = a, np.sqrt(variance / share)
         orders = np.flatnonzero(filters.any(axis=0))
         return filters[:, : orders[-1] + 1], np.hypot(scales, _FLOOR * sizes)
+
+    def _power(self, state: FilterState, model: Model, use: Array) -> float:
+        """Information of a sample about the coefficients, over that of their prior."""
+        told = model.H[:, :, self.n :] * state.spread / state.scales[:, None]
+        return float(np.sum(told[use] ** 2) / max(use.sum(), 1))
 
     def _gain(self, first: Block) -> Array:
         """Observer gain where the model has no free run."""
@@ -541,5 +551,6 @@ def _forget(L: Array, root: Array, n: int, kept: float) -> Array:
     # theta depends on the columns of U alone; theirs are the first L.shape[1] - n
     U = np.linalg.qr(L[n:].T, mode="complete")[0][:, : L.shape[1] - n]
     left, V = np.linalg.eigh(U.T @ root @ root.T @ U)  # of their unit variances, after the block
-    f = 1.0 + np.clip((1.0 / np.maximum(left, 1e-12) - 1.0) / _EXCITED, 0.0, 1.0 / kept - 1.0)
+    lost, learned = 1.0 / kept - 1.0, 1.0 / np.maximum(left, 1e-12) - 1.0
+    f = 1.0 + lost * np.clip(learned / lost / _EXCITED, 0.0, 1.0)
     return np.eye(len(U)) + (U @ V * (np.sqrt(f) - 1.0)) @ (U @ V).T
