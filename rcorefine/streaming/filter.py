@@ -11,7 +11,6 @@ where a long one has many.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,8 +42,7 @@ _SILENT = 1e-2  # information of a sample over that of the first ones: below it 
 _NOISE = 0.03  # of the size of an output: first guess of the noise
 
 
-@dataclass(frozen=True, eq=False)
-class FilterState:
+class FilterState(NamedTuple):
     """State of the filter between two blocks.
 
     Parameters
@@ -146,6 +144,7 @@ class BlockFilter:
         self.family, self.settings = family, family.settings
         self.n, self.ny = family.structure(np.zeros(0)).n_states, family.model.n_outputs
 
+        self._order = np.roll(np.arange(self.n + family.start().size), self.n)
         # samples that are fitted together: no more than the memory that forgetting leaves
         memory = 1.0 / max(1.0 - self.settings.forgetting, 1e-9)
         self._last = max([n for n in MILESTONES if n <= memory], default=MILESTONES[0])
@@ -169,9 +168,9 @@ class BlockFilter:
 
     # -- samples in ----------------------------------------------------------------------------------
 
-    def step(self, state: FilterState, block: Block, *, course: bool = False) -> tuple[FilterState, Course]:
+    def step(self, state: FilterState, block: Block, *, course: bool = False) -> tuple[FilterState, Course | None]:
         """Return the state after a block, and its course where that is asked for."""
-        found = self.unlearned(state, block)
+        found = self.unlearned(state, block) if course else None
         n_samples = state.n_samples + len(block.inputs)
         age, known = n_samples - state.begun, bool(block.known.all())
         after, first = state, Block.joined([state.first, block]) if state.collects else state.first
@@ -179,14 +178,14 @@ class BlockFilter:
             after, found = self._learn(state, block, course)
         elif state.rounds:  # inputs that nobody measured: where the model stands is unknown
             after = self._lost(state, block)
-        after = replace(after, first=first, n_samples=n_samples)
+        after = after._replace(first=first, n_samples=n_samples)
         # surprises that come again, or a start without inputs: all begins anew with the samples to come
         if after.surprises >= _TIMES or not (known or state.rounds):
             return self.begin(n_samples), found
         if state.collects and known and age in MILESTONES and age >= self.family.least:
             after = self.fit(after, first)
         if age >= self._last or not known:
-            after = replace(after, first=first.part(0, 0), collects=False)
+            after = after._replace(first=first.part(0, 0), collects=False)
         return after, found
 
     def finish(self, state: FilterState) -> FilterState:
@@ -195,14 +194,15 @@ class BlockFilter:
             return state
         return self.fit(state, state.first)
 
-    def _learn(self, state: FilterState, block: Block, course: bool) -> tuple[FilterState, Course]:
+    def _learn(self, state: FilterState, block: Block, course: bool) -> tuple[FilterState, Course | None]:
         """Update by a block: prediction, innovations, gain, covariance."""
         n, settings = self.n, self.settings
+        found = self.unlearned(state, block) if course else None
         q, N = len(state.past.inputs), len(block.inputs)
         whole = Block.joined([state.past, block])
         if (state.n_samples + N) // _RING > state.n_samples // _RING and len(state.left) == _RING:
             filters, scales = self._noise(state.left, np.isfinite(state.left), state.sizes)
-            state = replace(state, filters=filters, scales=scales)
+            state = state._replace(filters=filters, scales=scales)
         use = whole.use > 0
         use[:q] &= False
         # forgetting and unknown forces loosen what is known
@@ -210,7 +210,7 @@ class BlockFilter:
         for _ in range(_ROUNDS):
             model = self._simulate(state, whole, at)
             if model is None:
-                return self._surprised(state, block), self.unlearned(state, block)
+                return self._surprised(state, block), found
             # innovation r = y - h(at) - H (z - at), whitened: unit covariance R
             r = whole.outputs - model.outputs + model.H @ (at - state.z)
             e, A, rows = self._whiten(state, r, model.H @ L, whole.use > 0, use)
@@ -219,7 +219,7 @@ class BlockFilter:
             if solved.surprise > _SURPRISE and e.size:
                 far = np.abs(e) > _OUTLIER * np.sqrt(1.0 + np.sum(A**2, axis=1))
                 if not far.any() or far.mean() > _FEW:
-                    return self._surprised(state, block), self.unlearned(state, block)
+                    return self._surprised(state, block), found
                 use[rows[0][far], rows[1][far]] = False
                 continue
             if loose and self._power(state, model, use) > _SILENT * state.power:
@@ -236,8 +236,7 @@ class BlockFilter:
             at = z.copy()
         v = whole.outputs - model.outputs - model.H @ (z - at)
         v[whole.use == 0] = np.nan
-        after = replace(state, left=np.concatenate([state.left, v[q:]])[-_RING:], centre=at[n:])
-        found = self.unlearned(state, block)
+        after = state._replace(left=np.concatenate([state.left, v[q:]])[-_RING:], centre=at[n:])
         if course and (again := self._simulate(state, whole, z)) is not None:
             ahead = self._predictions(whole, e, A, rows, state)
             found = Course(np.tile(z[n:], (len(block.inputs), 1)), again.states[q:], ahead[q:])
@@ -251,23 +250,22 @@ class BlockFilter:
         family, n = self.family, self.n
         prior, widths = family.prior(first, state.z[n:] if state.rounds else None)
         sizes = output_sizes(first)
-        new = replace(
-            state, widths=widths, sizes=sizes, filters=np.ones((self.ny, 1)), scales=_NOISE * sizes,
+        new = state._replace(widths=widths, sizes=sizes, filters=np.ones((self.ny, 1)), scales=self._level(state, sizes),
             past=first.part(0, 0), before=first.inputs[:0], inner=np.zeros(0), spread=prior.spread,
             held=np.diag(prior.spread**2) - prior.root @ prior.root.T, rounds=state.rounds + 1,
         )  # fmt: skip
         if state.rounds == 0:
-            new = replace(new, gain=self._gain(first))
-        new = replace(new, reach=self._reach(new, first, prior.theta))
+            new = new._replace(gain=self._gain(first))
+        new = new._replace(reach=self._reach(new, first, prior.theta))
         # z = z0 + L zeta with zeta ~ N(0, 1)
         p, q = prior.root.shape
         z0, L = np.concatenate([np.zeros(n), prior.theta]), np.zeros((n + p, n + q))
         L[:n, :n], L[n:, n:] = np.diag(new.reach), prior.root
-        starts = [prior.start, prior.theta, state.z[n:]]
+        starts = [prior.start, prior.theta, state.z[n:]] if len(first.inputs) <= _SOON else [state.z[n:]]
         starts = [one for i, one in enumerate(starts) if not any(np.array_equal(one, o) for o in starts[:i])]
         found = [np.linalg.lstsq(prior.root, start - prior.theta, rcond=None)[0] for start in starts]
         points, use = [np.concatenate([np.zeros(n), zeta]) for zeta in found], first.use > 0
-        for white in (True, True, False):
+        for white in (True, False) if state.rounds else (True, True, False):
             best = min((self._descend(new, first, z0, L, point, use) for point in points), key=_cost)
             if not np.isfinite(best.cost):
                 raise DivergenceError(
@@ -282,14 +280,14 @@ class BlockFilter:
             A, points = best.rows.jacobian[: -(n + q)], [best.point]
             solved = _Solved(A, np.zeros(len(A)))
             filters, scales = self._noise(v, use, sizes, solved.explained, 0 if white else None)
-            new = replace(new, filters=filters, scales=scales)
+            new = new._replace(filters=filters, scales=scales)
         z, root = z0 + L @ best.point, L @ solved.root
         z[n:] = np.clip(z[n:], *family.bounds)
         power = self._power(new, best.rows.more, use)
-        new = replace(new, centre=z[n:].copy(), left=v[-_RING:], power=power)
+        new = new._replace(centre=z[n:].copy(), left=v[-_RING:], power=power)
         if family.one_to_one and len(v) == self._last:
             root, still = _held(root, n, prior.spread)
-            new = replace(new, held=new.held + still)
+            new = new._replace(held=new.held + still)
         if len(v) == 128 and state.begun == 0:  # enough samples for the error of a mean
             family.check(first, v)
         return self._move_on(new, first, z, root, None)
@@ -315,7 +313,7 @@ class BlockFilter:
 
         return gauss_newton(
             rows, np.clip(begin, lower, upper), lower=lower, upper=upper, evaluations=20,
-            settled=lambda cost, gain: gain < 1e-4,
+            settled=lambda cost, gain: gain < 1e-3,
         )  # fmt: skip
 
     # -- pieces --------------------------------------------------------------------------------------
@@ -335,10 +333,11 @@ class BlockFilter:
         )
         if run.blew_up >= 0 or not np.isfinite(run.outputs).all() or run.last is None:
             return None
+        H, F = run.sensitivity.swapaxes(0, 1), run.last.S.T
+        if not np.isfinite(H).all():  # derivatives may overflow where the motion does not
+            H, F = np.nan_to_num(H), np.nan_to_num(F)
         # the engine has theta first
-        order = np.roll(np.arange(z.size), n)
-        H, F = np.nan_to_num(np.moveaxis(run.sensitivity, 0, 1)), np.nan_to_num(run.last.S.T)
-        return Model(run.outputs.T, H[:, :, order], run.states.T, F[:, order], run.last.z)
+        return Model(run.outputs.T, H[:, :, self._order], run.states.T, F[:, self._order], run.last.z)
 
     def _centre(self, state: FilterState) -> Array:
         """Coefficients to linearize about: the last ones, unless theta has moved away."""
@@ -384,10 +383,20 @@ class BlockFilter:
             short = min(longest, int(0.1 * len(v) / gaps)) if gaps else longest
             a, variance = np.ones(1), float(np.sum(signal**2) / max(known.sum(), 1))
             if short and variance > 0:
-                a, variance = stable_model(*autoregression(signal, known=known, most=short))
+                price = np.log(max(known.sum(), 2))  # Schwarz: white noise stays white
+                a, variance = stable_model(*autoregression(signal, known=known, most=short, price=price))
             filters[i, : a.size], scales[i] = a, np.sqrt(variance / share)
         orders = np.flatnonzero(filters.any(axis=0))
         return filters[:, : orders[-1] + 1], np.hypot(scales, _FLOOR * sizes)
+
+    def _level(self, state: FilterState, sizes: Array) -> Array:
+        """First guess of the noise: what was declared, what the last fit left, or a share of the outputs."""
+        if self.settings.noise.any():
+            return self.settings.noise
+        if not state.rounds:
+            return _NOISE * sizes
+        left = np.where(np.isfinite(state.left), state.left, 0.0)
+        return np.hypot(np.sqrt(np.mean(left**2, axis=0)), _FLOOR * sizes)
 
     def _power(self, state: FilterState, model: Model, use: Array) -> float:
         """Information of a sample about the coefficients, over that of their prior."""
@@ -437,16 +446,14 @@ class BlockFilter:
             L = (U * sizes)[:, : L.shape[1]]
         inputs = np.concatenate([state.before, whole.inputs[:at]])
         lag = self.family.lag
-        return replace(
-            state, z=np.concatenate([x, z[n:]]), L=L, past=whole.part(at, N), inner=model.inner,
+        return state._replace(z=np.concatenate([x, z[n:]]), L=L, past=whole.part(at, N), inner=model.inner,
             before=inputs[len(inputs) - min(lag, len(inputs)) :],
         )  # fmt: skip
 
     def _surprised(self, state: FilterState, block: Block) -> FilterState:
         """Count a block that taught nothing: a bump moves the state alone."""
         soon = state.n_samples - state.surprised < _SOON
-        return replace(
-            self._lost(state, block), surprises=state.surprises + 1 if soon else 1, surprised=state.n_samples
+        return self._lost(state, block)._replace(surprises=state.surprises + 1 if soon else 1, surprised=state.n_samples
         )
 
     def _lost(self, state: FilterState, block: Block) -> FilterState:
@@ -458,7 +465,7 @@ class BlockFilter:
         L[n:, n:] = (U * s)[:, : state.L.shape[1] - n]
         after = self._move_on(state, whole, state.z, L, None)
         L[:n, :n] = np.diag(state.reach)
-        return replace(after, L=L)
+        return after._replace(L=L)
 
     def unlearned(self, state: FilterState, block: Block) -> Course:
         """Return the course of samples that nothing was learned from."""
@@ -494,7 +501,7 @@ class BlockFilter:
         if not state.rounds:  # the initial model, from rest
             z = np.concatenate([np.zeros(self.n), self.family.start()])
         block = whole_block(total, np.zeros((len(total), self.ny)))
-        model = self._simulate(replace(state, gain=0.0 * state.gain), block, z)
+        model = self._simulate(state._replace(gain=0.0 * state.gain), block, z)
         if model is None:
             raise DivergenceError("the refined model grows beyond all numbers over these inputs")
         return model.outputs[len(past.inputs) :]

@@ -207,6 +207,9 @@ class Forms:
         filters, stopped = dict(state.filters), dict(state.stopped)
         outputs = np.where(block.use, block.outputs, np.nan)
         for name in self._running(state):
+            # the initial model has no coefficients: its state is needed where it is the best
+            if name == INITIAL and state.chosen[0] != INITIAL and self._competing and not self.keep:
+                continue
             try:
                 filters[name], course = self.filters[name].step(filters[name], block, course=self.keep)
             except DivergenceError as error:
@@ -214,7 +217,8 @@ class Forms:
                     raise
                 stopped[name] = f"diverged: {str(error).split(';')[0]}"
                 continue
-            records[name].append((course, outputs))
+            if course is not None:
+                records[name].append((course, outputs))
         n = state.n_learned + len(block.inputs)
         state = replace(state, filters=filters, stopped=stopped, n_learned=n)
         if not self._competing:
@@ -252,8 +256,19 @@ class Forms:
             frozen.append(Frozen(name, calm, False))
             if calm is not model:
                 frozen.append(Frozen(name, model, True))
-        nothing = state.stretch.part(0, 0)
-        return replace(state, frozen=tuple(frozen), stretch=nothing, stopped=stopped)
+        initial = state.filters[INITIAL]
+        if not self.keep and state.chosen[0] == INITIAL:
+            initial = self._started(state)
+        elif not self.keep:
+            initial = self.filters[INITIAL].begin(state.n_learned)
+        filters, nothing = state.filters | {INITIAL: initial}, state.stretch.part(0, 0)
+        return replace(state, filters=filters, frozen=tuple(frozen), stretch=nothing, stopped=stopped)
+
+    def _started(self, state: FormsState) -> FilterState:
+        """State of the initial model, found from the present stretch where it did not run so far."""
+        one, found = self.filters[INITIAL], state.filters[INITIAL]
+        enough = len(state.stretch.inputs) > one.n + 2 and state.stretch.known.all()
+        return one.fit(found, state.stretch) if found.rounds == 0 and enough else found
 
     def _compare(self, state: FormsState) -> tuple[tuple[str, bool], dict[str, float]]:
         """Which form predicted the present stretch best, and the scores of all."""
@@ -325,8 +340,8 @@ class Forms:
         return self._discrete(self._own_system(name))
 
     def _best(self) -> tuple[BlockFilter, FilterState]:
-        form = self.form
-        return self.filters[form], self.state_.filters[form]
+        form, state = self.form, self.state_
+        return self.filters[form], self._started(state) if form == INITIAL else state.filters[form]
 
     def estimate(self) -> tuple[Array, Array]:
         """Coefficients and their covariance, in the time domain of the model that was given."""
