@@ -265,7 +265,8 @@ class BlockFilter:
         starts = [one for i, one in enumerate(starts) if not any(np.array_equal(one, o) for o in starts[:i])]
         found = [np.linalg.lstsq(prior.root, start - prior.theta, rcond=None)[0] for start in starts]
         points, use = [np.concatenate([np.zeros(n), zeta]) for zeta in found], first.use > 0
-        for white in (True, False) if state.rounds else (True, True, False):
+        # first for white noise, then for the color that is left
+        for most in (None, None) if state.rounds else (0, None, None):
             best = min((self._descend(new, first, z0, L, point, use) for point in points), key=_cost)
             if not np.isfinite(best.cost):
                 raise DivergenceError(
@@ -279,7 +280,7 @@ class BlockFilter:
             use = (first.use > 0) & ~(np.abs(v) > _OUTLIER * np.maximum(1.5 * middle, 3 * _FLOOR * sizes))
             A, points = best.rows.jacobian[: -(n + q)], [best.point]
             solved = _Solved(A, np.zeros(len(A)))
-            filters, scales = self._noise(v, use, sizes, solved.explained, 0 if white else None)
+            filters, scales = self._noise(v, use, sizes, solved.explained, most)
             new = new._replace(filters=filters, scales=scales)
         z, root = z0 + L @ best.point, L @ solved.root
         z[n:] = np.clip(z[n:], *family.bounds)
