@@ -29,12 +29,12 @@ from rcorefine.jit import NUMBA
 def prepare(example: Any, n_samples: int) -> tuple[Any, Plant, np.ndarray, np.ndarray]:
     """Refiner with declared unit scales on scaled signals, so that both do the same arithmetic."""
     record = example.record(n_samples)
-    scout = rco.RCORefiner(example.initial, dt=example.dt, **example.settings)
+    scout = rco.RCORefiner.paper(example.initial, dt=example.dt, **example.settings)
     scout.update(record.inputs, record.outputs)
     tuned = scout._estimator.memory.tuned
     assert tuned is not None
     scales = {name: getattr(tuned.scales, name) for name in ("inputs", "outputs", "states", "corrections")}
-    refiner = rco.RCORefiner(example.initial, dt=example.dt, scale=scales, **example.settings)
+    refiner = rco.RCORefiner.paper(example.initial, dt=example.dt, scale=scales, **example.settings)
     w, y = record.inputs / scales["inputs"][:, None], record.outputs / scales["outputs"][:, None]
     return (refiner, record), Plant(*tuned.plant), w, y
 

@@ -216,7 +216,7 @@ def matching():
     cases = {"RLC circuit (matched)": rco.examples.rlc(), "1-DOF (unmatched)": rco.examples.one_dof()}
     for ax, (title, example) in zip(axes, cases.items(), strict=True):
         data = example.record(6000, noise=0.02, rng=1)
-        paper = refined(rco.RCORefiner(example.initial, dt=example.dt, **example.settings).run(data))
+        paper = refined(rco.RCORefiner.paper(example.initial, dt=example.dt, **example.settings).run(data))
         default = rco.RCORefiner(example.initial, dt=example.dt).run(data)
         models = {"initial": (example.initial, INITIAL), "paper's correction through B": (paper, PAPER),
                   "default": (default.system, REFINED)}  # fmt: skip
@@ -365,7 +365,7 @@ def stopped():
     print(f"zeros of the initial model {np.round(np.sort(start.sample(dt).zeros().real), 3)}")
     print(f"Bode error {bode_error(start, true, dt):.2f} -> {bode_error(refiner.system, true, dt):.4f}")
     try:
-        rco.RCORefiner(start, dt=dt, window=100, markov=1, learning_rate=100.0).run(data)
+        rco.RCORefiner.paper(start, dt=dt, window=100, markov=1, learning_rate=100.0).run(data)
     except rco.DivergenceError as error:
         print(f"DivergenceError: {error}")
 

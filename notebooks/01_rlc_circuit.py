@@ -74,7 +74,7 @@ plt.show()
 # volts and for coulombs.
 
 # %%
-refiner = rco.RCORefiner(example.initial, dt=example.dt, history=True, **example.settings).run(data)
+refiner = rco.RCORefiner.paper(example.initial, dt=example.dt, history=True, **example.settings).run(data)
 history = refiner.history
 
 # %% [markdown]
@@ -210,7 +210,7 @@ windows = {100: SHORT, 1000: REFINED}
 estimates = {}
 for window in windows:
     runs = [
-        rco.RCORefiner(example.initial, dt=example.dt, static_window=window, **example.settings).run(
+        rco.RCORefiner.paper(example.initial, dt=example.dt, static_window=window, **example.settings).run(
             example.record(n_samples=4000, noise=0.02, rng=seed)
         )
         for seed in range(20)

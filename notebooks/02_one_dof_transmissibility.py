@@ -75,8 +75,8 @@ plt.show()
 refined, blind = {}, {}
 for form, case in forms.items():
     common = {"dt": case.dt, "history": True, **case.settings}
-    refined[form] = rco.RCORefiner(case.initial, **common).run(data)
-    blind[form] = rco.RCORefiner(case.initial, use_estimated_states=False, **common).run(data)
+    refined[form] = rco.RCORefiner.paper(case.initial, **common).run(data)
+    blind[form] = rco.RCORefiner.paper(case.initial, use_estimated_states=False, **common).run(data)
 
 
 def running(z, n=50):
@@ -245,7 +245,7 @@ for label, system in (
 for window in (100, 1000):
     errors = {form: [] for form in forms}
     for (form, case), seed in [(item, seed) for item in forms.items() for seed in range(6)]:
-        run = rco.RCORefiner(case.initial, dt=case.dt, static_window=window, **case.settings)
+        run = rco.RCORefiner.paper(case.initial, dt=case.dt, static_window=window, **case.settings)
         run.run(case.record(n_samples=4000, rng=seed))
         errors[form].append(bode_error(true_discrete, run.discrete_system))
     for form, values in errors.items():

@@ -78,8 +78,8 @@ def level(z, y):
 
 
 common = {"dt": example.dt, "history": True, **example.settings}
-refined = rco.RCORefiner(example.initial, **common).run(data)
-blind = rco.RCORefiner(example.initial, use_estimated_states=False, **common).run(data)
+refined = rco.RCORefiner.paper(example.initial, **common).run(data)
+blind = rco.RCORefiner.paper(example.initial, use_estimated_states=False, **common).run(data)
 
 # %% [markdown]
 # ## Both stages settle (figures 10 and 12)
@@ -250,7 +250,7 @@ plt.show()
 # %%
 m1, m2 = example.true_parameters["m1"], example.true_parameters["m2"]
 on_both_masses = [[0, 0], [0, 0], [1000 / m1, 0], [0, 1000 / m2]]
-both = rco.RCORefiner(example.initial, correction_input=on_both_masses, **common).run(data)
+both = rco.RCORefiner.paper(example.initial, correction_input=on_both_masses, **common).run(data)
 
 fig, axes = plt.subplots(1, 4, figsize=(11.5, 3), layout="constrained")
 for ax, (title, system) in zip(

@@ -169,7 +169,7 @@ for column, loss in enumerate((0.1, 0.3, 0.5)):
             watched = measured(true, rng.standard_normal(N), DT, 0.02, rng)
             blind = rco.simulate(model, watched, "zero")
             paper = {"window": 100, "markov": 1, "learning_rate": 100.0}
-            refiner = rco.RCORefiner(model.system, dt=DT, history=True, **paper).run(watched)
+            refiner = rco.RCORefiner.paper(model.system, dt=DT, history=True, **paper).run(watched)
             motions = {
                 "initial model": blind.states,
                 "paper's stage 1": refiner.history.x,

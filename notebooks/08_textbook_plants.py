@@ -214,7 +214,7 @@ for name in names:
     zeros = np.abs(start.sample(dt).zeros())
     line = f"{name:24s} {zeros.max() if zeros.size else 0:12.3f} "
     for markov, window, rate in settings.values():
-        paper = rco.RCORefiner(start, dt=dt, markov=markov, window=window, learning_rate=rate)
+        paper = rco.RCORefiner.paper(start, dt=dt, markov=markov, window=window, learning_rate=rate)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", rco.ConversionWarning)
             try:
@@ -245,7 +245,7 @@ for ax, name in zip(axes, ("mass, position", "quarter car"), strict=True):
     omega = np.geomspace(0.01, 1, 300) * np.pi / dt
     shown = {"true": (true, TRUE, 5), "initial": (start, INITIAL, 1.5)}
     for form, color in (("input", "tab:green"), ("nonzero", REFINED)):
-        refined = rco.RCORefiner(start, dt=dt, static=form).run(train).system
+        refined = rco.RCORefiner(start, dt=dt, form=form).run(train).system
         shown[f"static='{form}': {fit(refined, test):.1f} %"] = (refined, color, 1.5)
     for label, (model, color, width) in shown.items():
         size = np.abs(ct.frequency_response(model, omega).frdata[0, 0])
@@ -272,7 +272,7 @@ lagging = ss(
 )
 train, test = record(lagging, dt, 3).split(0.7)
 for form in ("nonzero", "input", "discrete", "auto"):
-    refiner = rco.RCORefiner(start, dt=dt, static=form).run(train)
+    refiner = rco.RCORefiner(start, dt=dt, form=form).run(train)
     print(f"static={form!r:10s} fit {fit(refiner.system, test):5.1f} %   taken: {refiner.form}")
 print(f"initial           fit {fit(start, test):5.1f} %")
 print({name: round(score, 1) for name, score in refiner.scores.items()})

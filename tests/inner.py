@@ -29,7 +29,7 @@ from rcorefine.models.operating_point import ordered_record
 from rcorefine.progress import Progress
 from rcorefine.refinement.refine import base_fit
 from rcorefine.results import Data
-from rcorefine.streaming.coefficients.setup import CoefficientFilter
+from rcorefine.streaming.filter import BlockFilter
 from rcorefine.systems import to_discrete
 from rcorefine.systems.linear import LinearModel
 from rcorefine.systems.response import bode_error
@@ -48,7 +48,7 @@ __all__ = [
     "KINDS",
     "NUMBA",
     "Case",
-    "CoefficientFilter",
+    "BlockFilter",
     "Data",
     "Engine",
     "FormulaLaw",

@@ -122,7 +122,7 @@ def alarmed() -> rco.Alarm:
 
 
 def refiner() -> rco.RCORefiner:
-    return rco.RCORefiner(small_model().system, dt=DT, order=2, window=20, learning_rate=1e6)
+    return rco.RCORefiner.paper(small_model().system, dt=DT, order=2, window=20, learning_rate=1e6)
 
 
 @_quiet

@@ -26,7 +26,7 @@ def data(example):
 
 def refiner_for(example, data, model=None):
     model = example.initial if model is None else model
-    return rco.RCORefiner(model, dt=example.dt, **example.settings).run(data)
+    return rco.RCORefiner.paper(model, dt=example.dt, **example.settings).run(data)
 
 
 @pytest.fixture(scope="module")
@@ -174,7 +174,7 @@ class TestCopies:
     def test_refiner_goes_on_where_it_was(self, example, data, duplicate):
         """A copy in mid-stream and the original end at the same estimate."""
         first, second = data.split(0.5)
-        original = rco.RCORefiner(example.initial, dt=example.dt, **example.settings)
+        original = rco.RCORefiner.paper(example.initial, dt=example.dt, **example.settings)
         original.update(first.inputs, first.outputs)
         other = duplicate(original)
         for one in (original, other):

@@ -70,9 +70,9 @@ SPRING = rco.Table(d=[-1.0, 0.0, 1.0], force=[-2.0, 0.0, 9.0])
 SOFTER = [rco.Effect("stiffness", "link1")]
 STREAMS = {
     "forms": lambda: rco.RCORefiner(chain(), dt=DT, history=True),
-    "entries": lambda: rco.RCORefiner(chain(), dt=DT, static=["A[1,0]"], history=True),
+    "entries": lambda: rco.RCORefiner(chain(), dt=DT, effects=["A[1,0]"], history=True),
     "effects": lambda: rco.RCORefiner(chain(), dt=DT, effects=SOFTER, history=True),
-    "paper": lambda: rco.RCORefiner(chain(), dt=DT, window=50, history=True),
+    "paper": lambda: rco.RCORefiner.paper(chain(), dt=DT, window=50, history=True),
     "stiffness": lambda: rco.Monitor(chain(), [rco.Effect("stiffness", "link1")], dt=DT, learn=200),
     "table": lambda: rco.Monitor(chain(), [rco.Effect("tabulated", "link1", law=SPRING)], dt=DT, learn=200),
 }  # fmt: skip

@@ -15,7 +15,7 @@ import control as ct
 import numpy as np
 import pytest
 from cases import slow
-from inner import CoefficientFilter
+from inner import BlockFilter
 from scipy.linalg import expm
 from scipy.signal import cont2discrete, dlsim
 from scipy.stats import binom
@@ -130,7 +130,7 @@ def test_as_good_as_the_true_model_on_what_follows(name, seed):
     found = free_run(refiner.system, dt, *rest)
     assert free_run(start, dt, *rest) < 90, "the start leaves nothing to do"
     assert found > free_run(truth, dt, *rest) - 1
-    assert refiner.form in ("nonzero", "input", "discrete")
+    assert refiner.form in ("nonzero", "discrete")
     assert refiner.system.isctime()
 
 
@@ -141,7 +141,7 @@ def test_the_model_can_be_read_after_every_sample():
     y = noisy(y, 0.02, 5)
     default, paper = (
         RCORefiner(start, dt=dt),
-        RCORefiner(start, dt=dt, window=100, markov=1, learning_rate=100.0),
+        RCORefiner.paper(start, dt=dt, window=100, markov=1, learning_rate=100.0),
     )
     moved = 0
     for k in range(400):
@@ -303,12 +303,22 @@ def test_gaps_are_bridged():
     assert np.isnan(refiner.history.z2).sum() > 500
 
 
-@pytest.mark.parametrize("settings", [{}, {"window": 60, "markov": 1}, {"static": ["A[1,0]"]}])
-def test_threads_lose_no_sample(settings):
+SIZES = {"inputs": 1.0, "outputs": 1.0}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        RCORefiner,
+        lambda model, dt: RCORefiner.paper(model, dt=dt, window=60, markov=1, scale=SIZES),
+        lambda model, dt: RCORefiner(model, dt=dt, effects=["A[1,0]"]),
+    ],
+)
+def test_threads_lose_no_sample(make):
     """Four threads on one refiner: every sample is taken once, in whatever order."""
     start, dt = motor(0.03), 0.02  # shuffled samples must not make the paper's stages diverge
     w, y = simulated(motor(), dt, 0.01 * steps(0, 400))
-    refiner = RCORefiner(start, dt=dt, scale={"inputs": 1.0, "outputs": 1.0}, **settings)
+    refiner = make(start, dt=dt)
     refiner.update(w[:, :1], y[:, :1])
     begin = threading.Barrier(4)
 
@@ -382,19 +392,19 @@ def test_stage_one_in_gaps_does_not_depend_on_blocks():
 
 def test_a_member_that_diverges_leaves_the_others_running(monkeypatch):
     start, dt, w, y = stream()
-    take = CoefficientFilter.take
+    step = BlockFilter.step
 
-    def failing(self, block, **how):
-        if self.memory.n_samples >= 300 and len(self.setup.labels) == 20:  # all entries of a discrete 4 + 1
+    def failing(self, state, block, **how):
+        if state.n_samples >= 300 and len(self.family.labels) == 20:  # all entries of a discrete 4 + 1
             raise rco.DivergenceError("the static stage diverged; nothing helps")
-        return take(self, block, **how)
+        return step(self, state, block, **how)
 
-    monkeypatch.setattr(CoefficientFilter, "take", failing)
+    monkeypatch.setattr(BlockFilter, "step", failing)
     refiner = RCORefiner(start, dt=dt)
     refiner.update(w, y)
     assert "discrete diverged" in " ".join(str(refiner).split())
     assert refiner.n_samples == w.shape[1]
-    assert refiner.form in ("nonzero", "input")
+    assert refiner.form == "nonzero"
     assert refiner.scores["nonzero"] > 90
 
 
@@ -407,7 +417,7 @@ def test_what_was_chosen_and_why_is_said():
     text = " ".join(str(refiner).split())
     assert f"form {refiner.form!r}" in text
     assert "held-out samples" in text
-    for name in ("nonzero", "input", "discrete", "initial"):
+    for name in ("nonzero", "discrete", "initial"):
         assert f"{name} " in text
         assert name in refiner.scores
     assert max(map(len, str(refiner).splitlines())) <= 80
@@ -422,7 +432,7 @@ def test_entries_by_name_and_their_error_bars():
     start = positioner(0.02, 0.05, 0.36)
     for seed in range(20):
         w, y = simulated(truth, dt, steps(seed, 1500))
-        refiner = RCORefiner(start, dt=dt, static=["A[1,1]", "B[1,0]"], use_estimated_states=False)
+        refiner = RCORefiner(start, dt=dt, effects=["A[1,1]", "B[1,0]"], use_estimated_states=False)
         refiner.update(w, noisy(y, 0.02, seed))
         for row, true in zip(refiner.parameters, (truth.A[1, 1], truth.B[1, 0]), strict=True):
             low, high = row.interval
@@ -432,11 +442,11 @@ def test_entries_by_name_and_their_error_bars():
     assert inside >= 33  # 1e-3 quantile of a binomial of 40 with 0.95
 
 
-@pytest.mark.parametrize("form", ["nonzero", "discrete", "input"])
+@pytest.mark.parametrize("form", ["nonzero", "discrete"])
 def test_each_form_alone(form):
     truth, start, dt = OFF["motor"]
     w, y = simulated(truth, dt, steps(2, 3000))
-    refiner = RCORefiner(start, dt=dt, static=form)
+    refiner = RCORefiner(start, dt=dt, form=form)
     refiner.update(w, noisy(y, 0.01, 2))
     assert refiner.form == form
     np.testing.assert_allclose(refiner.system.dcgain(), truth.dcgain(), rtol=0.02)
@@ -468,14 +478,15 @@ def test_an_input_that_runs_linearly_between_samples():
 @pytest.mark.parametrize(
     ("settings", "error", "match"),
     [
-        ({"static": "best"}, ct.ControlArgument, "'auto'"),
-        ({"static": ["E[0,0]"]}, ct.ControlArgument, r"A\[1,0\]"),
-        ({"static": ["A[7,0]"]}, rco.ModelError, "shape"),
-        ({"static": ["A[1,0]", "A[1,0]"]}, rco.ModelError, "twice"),
-        ({"static": []}, rco.ModelError, "empty"),
+        ({"form": "best"}, ct.ControlArgument, "'auto'"),
+        ({"effects": ["E[0,0]"]}, ct.ControlArgument, r"A\[1,0\]"),
+        ({"effects": ["A[7,0]"]}, rco.ModelError, "shape"),
+        ({"effects": ["A[1,0]", "A[1,0]"]}, rco.ModelError, "twice"),
+        ({"effects": []}, rco.ModelError, "empty"),
         ({"static": "nonzero", "static_window": 5}, ct.ControlArgument, "static_window"),
-        ({"static": "nonzero", "effects": [rco.Effect("damping", "q1")]}, ct.ControlArgument, "one of them"),
-        ({"static": "discrete", "hold": "foh"}, rco.ModelError, "held"),
+        ({"static": "input"}, ct.ControlArgument, "is gone"),
+        ({"form": "nonzero", "effects": [rco.Effect("damping", "q1")]}, ct.ControlArgument, "one of them"),
+        ({"form": "discrete", "hold": "foh"}, rco.ModelError, "held"),
         ({"substeps": 3}, ct.ControlArgument, "nonlinear"),
         ({"noise": [0.1, 0.2]}, ct.ControlDimension, "one for each"),
     ],
@@ -483,6 +494,46 @@ def test_an_input_that_runs_linearly_between_samples():
 def test_bad_settings_are_explained(settings, error, match):
     with pytest.raises(error, match=match):
         RCORefiner(two_masses(), dt=0.04, **settings)
+
+
+def test_keywords_of_version_0_2_go_on_with_a_warning():
+    start, dt, w, y = stream(300)
+    for old, new in (
+        ({"static": "nonzero"}, lambda: RCORefiner(start, dt=dt, form="nonzero")),
+        ({"static": ["A[2,0]"]}, lambda: RCORefiner(start, dt=dt, effects=["A[2,0]"])),
+        ({"window": 100}, lambda: RCORefiner.paper(start, dt=dt, window=100)),
+        ({"markov": 20}, lambda: RCORefiner.paper(start, dt=dt, static_average=800)),
+    ):
+        with pytest.warns(FutureWarning, match="RCORefiner"):
+            before = RCORefiner(start, dt=dt, **old)
+        after = new()
+        for one in (before, after):
+            one.update(w[:, :140], y[:, :140])
+        np.testing.assert_array_equal(before.static_theta, after.static_theta)
+        assert str(before) == str(after)
+
+
+def test_a_default_that_is_given_changes_nothing():
+    start, dt, w, y = stream(300)
+    plain = RCORefiner(start, dt=dt)
+    given = RCORefiner(
+        start, dt=dt, effects=None, form="auto", history=False, missing="raise", noise=None, hold="zoh",
+        disturbance=0.0, forgetting=1.0, substeps=None, order=5, learning_rate=1e5, use_estimated_states=True,
+    )  # fmt: skip
+    for one in (plain, given):
+        one.update(rco.Measurement(w, y, dt=dt))
+    same(plain, given)
+    np.testing.assert_array_equal(plain.theta, given.theta)
+
+
+@pytest.mark.parametrize(("forgetting", "oldest"), [(1.0, 64), (0.99, 12)])
+def test_the_model_is_never_older_than_it_says(forgetting, oldest):
+    start, dt, w, y = stream(300)
+    refiner = RCORefiner(start, dt=dt, form="nonzero", forgetting=forgetting)
+    for k in range(w.shape[1]):
+        refiner.update(w[:, k], y[:, k])
+        assert refiner.age <= (oldest if k >= 64 else 32)
+    assert f"the model is that of {refiner.age} samples ago" in " ".join(str(refiner).split())
 
 
 # -- odd models ------------------------------------------------------------------------------------
@@ -573,7 +624,7 @@ def test_both_stages_are_seen_in_the_history():
     assert plot.axes.shape == (3, 1)
     assert len(plot.lines[0, 0]) == 2
     assert refiner.bode_plot(rco.Measurement(w, y, dt=dt)).axes.shape == (3, 1)
-    paper = RCORefiner(start, dt=dt, history=True, window=100).run(rco.Measurement(w, y, dt=dt))
+    paper = RCORefiner.paper(start, dt=dt, history=True, window=100).run(rco.Measurement(w, y, dt=dt))
     assert paper.history.poles.shape[0] == 2
     assert paper.history.plot().axes.shape == (3, 1)
     assert np.isfinite(paper.standard_deviations).all()
@@ -624,8 +675,8 @@ def test_rows_are_entries_of_the_model_that_was_given():
     u = rng.standard_normal(1000)
     y = ct.forced_response(plant.sample(dt), inputs=u).outputs
     y = y + 0.02 * y.std() * rng.standard_normal(1000)
-    continuous = rco.RCORefiner(start, dt=dt, static="discrete")
-    discrete = rco.RCORefiner(start.sample(dt), static="discrete")
+    continuous = rco.RCORefiner(start, dt=dt, form="discrete")
+    discrete = rco.RCORefiner(start.sample(dt), form="discrete")
     for refiner in (continuous, discrete):
         refiner.update(u, y)
         model = refiner.system

@@ -282,7 +282,7 @@ def test_without_effects_gaps_are_carried_over():
     outputs = data.outputs.copy()
     outputs[0, np.random.default_rng(0).random(data.n_samples) < 0.1] = np.nan
     outputs[0, 0] = data.outputs[0, 0]
-    refiner = RCORefiner(example.initial, dt=example.dt, **example.settings, missing="hold-out")
+    refiner = RCORefiner.paper(example.initial, dt=example.dt, **example.settings, missing="hold-out")
     refiner.update(data.inputs, outputs)
     assert rco.examples.rlc_parameters(refiner.system)["inductance"] == pytest.approx(0.055, rel=0.02)
 
@@ -291,7 +291,7 @@ def test_stage_one_runs_beside():
     w, y, _ = sampled(chain((10, 5.6, 6)), 0.02, 500, 0.05, 4)
     refiner = RCORefiner(chain(), dt=0.02, effects=STIFFNESS, history=True)
     refiner.update(w, y)
-    alone = RCORefiner(chain(), dt=0.02, window=100, history=True)
+    alone = RCORefiner.paper(chain(), dt=0.02, window=100, history=True)
     with pytest.raises(rco.DivergenceError, match="sample 309 "):  # the paper's stage 1 on such a chain
         alone.run(rco.Measurement(w, y, dt=0.02))
     np.testing.assert_array_equal(refiner.history.x_D[:, :309], alone.history.x)
@@ -409,7 +409,7 @@ def test_discrete_models_and_parameters_without_effects_are_explained():
     with pytest.raises(rco.ModelError, match="d2c"):
         RCORefiner(chain().system.sample(0.02), effects=STIFFNESS)
     with pytest.raises(rco.RCOError, match="effects"):
-        _ = RCORefiner(chain(), dt=0.02, window=100).parameters
+        _ = RCORefiner.paper(chain(), dt=0.02, window=100).parameters
 
 
 def test_intervals_are_calibrated():

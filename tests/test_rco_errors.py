@@ -26,7 +26,7 @@ def data() -> rco.Measurement:
 @pytest.fixture(params=[20, 100], ids=["held back", "learning"])
 def refiner(request: pytest.FixtureRequest, data: rco.Measurement) -> rco.RCORefiner:
     """A refiner before and after its scales are known."""
-    made = rco.RCORefiner(two_by_two(), dt=DT, history=True, **SETTINGS)
+    made = rco.RCORefiner.paper(two_by_two(), dt=DT, history=True, **SETTINGS)
     made.update(data.inputs[:, : request.param], data.outputs[:, : request.param])
     return made
 
@@ -123,7 +123,7 @@ def test_bad_prediction(refiner: rco.RCORefiner, w: Any, message: str) -> None:
 )
 def test_bad_settings(settings: dict[str, Any], error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
-        rco.RCORefiner(two_by_two(), **{"dt": DT, **settings})
+        rco.RCORefiner.paper(two_by_two(), **{"dt": DT, **settings})
 
 
 def test_unknown_keyword() -> None:
@@ -154,7 +154,7 @@ def test_contradictory_dt() -> None:
 
 
 def test_records_that_do_not_fit(data: rco.Measurement) -> None:
-    made = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS)
+    made = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS)
     before = state_of(made)
 
     def changed(**fields: Any) -> rco.Measurement:
@@ -201,15 +201,15 @@ def test_channels_are_matched_by_name(data: rco.Measurement) -> None:
         input_labels=["f2", "f1"],
         output_labels=["v2", "v1"],
     )
-    plain = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(data)
+    plain = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS).run(data)
     np.testing.assert_array_equal(
-        rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(swapped).theta, plain.theta
+        rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS).run(swapped).theta, plain.theta
     )
 
 
 def test_constant_input_in_a_stream_is_refused_in_the_end(data: rco.Measurement) -> None:
     """A stream may start at rest, but not for ever: 16 warm-ups, then the input is named."""
-    made = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS)
+    made = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS)
     made.update(np.ones((2, 900)), np.random.default_rng(0).standard_normal((2, 900)))
     assert made.n_learned == 0
     before = state_of(made)
@@ -221,7 +221,7 @@ def test_constant_input_in_a_stream_is_refused_in_the_end(data: rco.Measurement)
 
 def test_unstable_initial_model_is_named() -> None:
     wild = ct.ss([[60.0]], [[1.0]], [[1.0]], [[0.0]])
-    made = rco.RCORefiner(wild, dt=0.1, window=100)
+    made = rco.RCORefiner.paper(wild, dt=0.1, window=100)
     w = np.random.default_rng(0).standard_normal(200)
     with pytest.raises(rco.ModelError, match="unstable"):
         made.update(w, w)
@@ -249,7 +249,7 @@ def nonminimum_phase() -> tuple[ct.StateSpace, rco.Measurement]:
 @pytest.fixture(scope="module")
 def diverging() -> tuple[ct.StateSpace, rco.Measurement, int]:
     model, record = nonminimum_phase()
-    made = rco.RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, history=True)
+    made = rco.RCORefiner.paper(model, **SHORT, learning_rate=1e-3, order=4, history=True)
     with pytest.raises(rco.DivergenceError) as caught:
         made.run(record)
     sample = int(str(caught.value).split("sample ")[1].split(" ")[0])
@@ -260,7 +260,7 @@ def test_divergence_says_when_why_and_what_to_change(
     diverging: tuple[ct.StateSpace, rco.Measurement, int],
 ) -> None:
     model, record, sample = diverging
-    made = rco.RCORefiner(model, **SHORT, learning_rate=1e-3, order=4)
+    made = rco.RCORefiner.paper(model, **SHORT, learning_rate=1e-3, order=4)
     with pytest.raises(rco.DivergenceError) as caught:
         made.run(record)
     message = str(caught.value)
@@ -282,7 +282,7 @@ def test_run_keeps_what_was_learned_before_the_divergence(
     diverging: tuple[ct.StateSpace, rco.Measurement, int],
 ) -> None:
     model, record, sample = diverging
-    made = rco.RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, history=True)
+    made = rco.RCORefiner.paper(model, **SHORT, learning_rate=1e-3, order=4, history=True)
     with pytest.raises(rco.DivergenceError):
         made.run(record)
     assert made.n_learned == sample
@@ -290,7 +290,7 @@ def test_run_keeps_what_was_learned_before_the_divergence(
     assert made.history.n_samples == sample
     assert np.isfinite(made.system.A).all()
     known = {name: getattr(made.scales, name) for name in ("inputs", "outputs", "states", "corrections")}
-    twin = rco.RCORefiner(model, **SHORT, learning_rate=1e-3, order=4, scale=known)
+    twin = rco.RCORefiner.paper(model, **SHORT, learning_rate=1e-3, order=4, scale=known)
     twin.update(record.inputs[:, :sample], record.outputs[:, :sample])
     np.testing.assert_array_equal(twin.theta, made.theta)
 
@@ -299,7 +299,7 @@ def test_update_that_diverges_changes_nothing(
     diverging: tuple[ct.StateSpace, rco.Measurement, int],
 ) -> None:
     model, record, _ = diverging
-    made = rco.RCORefiner(
+    made = rco.RCORefiner.paper(
         model,
         **SHORT,
         learning_rate=1e-3,
@@ -324,7 +324,7 @@ def test_update_that_diverges_changes_nothing(
 
 def test_what_the_message_advises_helps(diverging: tuple[ct.StateSpace, rco.Measurement, int]) -> None:
     model, record, _ = diverging
-    made = rco.RCORefiner(model, window=100, learning_rate=1e-1, order=4, markov=30, history=True).run(record)
+    made = rco.RCORefiner.paper(model, window=100, learning_rate=1e-1, order=4, markov=30, history=True).run(record)
     assert made.history.performance(3000)[0][0] < 0.5
 
 
@@ -334,7 +334,7 @@ def test_an_outlier_is_no_divergence() -> None:
     record = example.record(4000, noise=0.01)
     y = record.outputs.copy()
     y[0, 1500] += 1000.0 * y.std()
-    made = rco.RCORefiner(example.initial, dt=example.dt, history=True, **example.settings)
+    made = rco.RCORefiner.paper(example.initial, dt=example.dt, history=True, **example.settings)
     made.update(record.inputs, y)
     assert made.history.performance(3000)[0][0] < 0.5
 

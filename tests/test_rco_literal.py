@@ -69,7 +69,7 @@ def record(model: Plant, seed: int, n_samples: int = N) -> tuple[Array, Array]:
 
 
 def refiner_of(model: Plant, **settings: object) -> rco.RCORefiner:
-    return rco.RCORefiner(
+    return rco.RCORefiner.paper(
         ct.ss(model.A, model.B, model.C, model.D, 0.1),
         correction_input=model.Bu,
         correction_feedthrough=model.Du,

@@ -81,9 +81,9 @@ def state_of(refiner: rco.RCORefiner) -> list[Array]:
 def test_blocks_equal_samples(data: rco.Measurement, cut: int) -> None:
     """However the stream is cut, also within the samples that are held back for the scales."""
     n = 700
-    whole = rco.RCORefiner(two_by_two(), dt=DT, static_average=20, history=True, **SETTINGS)
+    whole = rco.RCORefiner.paper(two_by_two(), dt=DT, static_average=20, history=True, **SETTINGS)
     whole.update(data.inputs[:, :n], data.outputs[:, :n])
-    parts = rco.RCORefiner(two_by_two(), dt=DT, static_average=20, history=True, **SETTINGS)
+    parts = rco.RCORefiner.paper(two_by_two(), dt=DT, static_average=20, history=True, **SETTINGS)
     for k in range(0, n, cut):
         result = parts.update(data.inputs[:, k : min(k + cut, n)], data.outputs[:, k : min(k + cut, n)])
         assert result is None
@@ -111,23 +111,23 @@ def test_one_sample_may_be_a_number_or_a_vector() -> None:
 
 
 def test_run_is_update_over_the_record(data: rco.Measurement) -> None:
-    run = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS)
+    run = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS)
     assert run.run(data) is run
-    update = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS)
+    update = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS)
     update.update(data.inputs, data.outputs)
     np.testing.assert_allclose(run.theta, update.theta, rtol=1e-12)
 
 
 def test_matched_change_is_found_with_two_inputs_and_outputs(data: rco.Measurement) -> None:
     """A change in the columns of B_u is found exactly, although the sensors see no state alone."""
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, **{**SETTINGS, "learning_rate": 0.01}).run(data)
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, **{**SETTINGS, "learning_rate": 0.01}).run(data)
     true = damaged(two_by_two(DT))
     np.testing.assert_allclose(refiner.discrete_system.A, true.A, atol=1e-3)
     np.testing.assert_allclose(refiner.discrete_system.B, true.B, atol=1e-5)
 
 
 def test_reset_forgets(data: rco.Measurement) -> None:
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, history=True, **SETTINGS)
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, history=True, **SETTINGS)
     fresh = state_of(refiner)
     refiner.run(data)
     first = refiner.theta
@@ -140,8 +140,8 @@ def test_reset_forgets(data: rco.Measurement) -> None:
 
 def test_memory_is_constant_without_history() -> None:
     example = rco.examples.rlc()
-    for settings in (example.settings, {}):
-        refiner = rco.RCORefiner(example.initial, dt=example.dt, **settings)
+    for make, settings in ((rco.RCORefiner.paper, example.settings), (rco.RCORefiner, {})):
+        refiner = make(example.initial, dt=example.dt, **settings)
         sizes = []
         for seed in range(3):
             record = example.record(4096, rng=seed)  # whole stretches of the race
@@ -152,7 +152,7 @@ def test_memory_is_constant_without_history() -> None:
 
 def test_input_arrays_are_left_alone(data: rco.Measurement) -> None:
     w, y = data.inputs.copy(), data.outputs.copy()
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS)
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS)
     refiner.update(w, y)
     np.testing.assert_array_equal(w, data.inputs)
     np.testing.assert_array_equal(y, data.outputs)
@@ -172,9 +172,9 @@ def test_units_do_not_matter(data: rco.Measurement) -> None:
         sys.D * out[:, None] / into,
         DT,
     )
-    plain = rco.RCORefiner(sys, dt=DT, **SETTINGS)
+    plain = rco.RCORefiner.paper(sys, dt=DT, **SETTINGS)
     plain.update(data.inputs, data.outputs)
-    changed = rco.RCORefiner(other, dt=DT, **SETTINGS)
+    changed = rco.RCORefiner.paper(other, dt=DT, **SETTINGS)
     changed.update(data.inputs * into[:, None], data.outputs * out[:, None])
     back = changed.static_theta * np.concatenate([inside, into]) / into[:, None]
     np.testing.assert_allclose(back, plain.static_theta, rtol=1e-12)
@@ -182,15 +182,15 @@ def test_units_do_not_matter(data: rco.Measurement) -> None:
 
 def test_unit_of_the_correction_does_not_matter(data: rco.Measurement) -> None:
     b_u = two_by_two().B
-    plain = rco.RCORefiner(two_by_two(), dt=DT, correction_input=b_u, **SETTINGS).run(data)
-    changed = rco.RCORefiner(two_by_two(), dt=DT, correction_input=b_u * [2.0**-10, 16.0], **SETTINGS).run(
+    plain = rco.RCORefiner.paper(two_by_two(), dt=DT, correction_input=b_u, **SETTINGS).run(data)
+    changed = rco.RCORefiner.paper(two_by_two(), dt=DT, correction_input=b_u * [2.0**-10, 16.0], **SETTINGS).run(
         data
     )
     np.testing.assert_allclose(changed.system.A, plain.system.A, rtol=1e-6, atol=1e-7)
 
 
 def test_first_samples_are_held_back_then_learned(data: rco.Measurement) -> None:
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS)
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS)
     refiner.update(data.inputs[:, :59], data.outputs[:, :59])
     assert (refiner.n_samples, refiner.n_learned, refiner.scales) == (59, 0, None)
     np.testing.assert_array_equal(refiner.system.A, two_by_two().A)
@@ -206,7 +206,7 @@ def test_quiet_start_is_waited_for() -> None:
     record = example.record(3000)
     w = np.concatenate([np.zeros((1, 150)), record.inputs], axis=1)
     y = np.concatenate([np.zeros((1, 150)), record.outputs], axis=1)
-    refiner = rco.RCORefiner(example.initial, dt=example.dt, **example.settings)
+    refiner = rco.RCORefiner.paper(example.initial, dt=example.dt, **example.settings)
     refiner.update(w[:, :200], y[:, :200])
     assert refiner.n_learned == 0
     refiner.update(w[:, 200:], y[:, 200:])
@@ -217,14 +217,14 @@ def test_quiet_start_is_waited_for() -> None:
 
 def test_short_record_is_learned_at_its_end() -> None:
     example = rco.examples.rlc()
-    refiner = rco.RCORefiner(example.initial, dt=example.dt, **example.settings).run(example.record(70))
+    refiner = rco.RCORefiner.paper(example.initial, dt=example.dt, **example.settings).run(example.record(70))
     assert refiner.n_learned == 70
     assert refiner.theta.any()
 
 
 def test_declared_scales_learn_from_the_first_sample(data: rco.Measurement) -> None:
     scale = {"inputs": [3.0, 500.0], "outputs": 10.0}
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, scale=scale, **SETTINGS)
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, scale=scale, **SETTINGS)
     refiner.update(data.inputs[:, 0], data.outputs[:, 0])
     assert refiner.n_learned == 1
     np.testing.assert_array_equal(refiner.scales.outputs, [10.0, 10.0])
@@ -236,7 +236,7 @@ def test_declared_scales_learn_from_the_first_sample(data: rco.Measurement) -> N
 
 
 def test_continuous_in_continuous_out(data: rco.Measurement) -> None:
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(data)
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS).run(data)
     system, discrete = refiner.system, refiner.discrete_system
     assert (system.dt, discrete.dt) == (0, DT)
     for found in (system, discrete):
@@ -248,9 +248,9 @@ def test_continuous_in_continuous_out(data: rco.Measurement) -> None:
 
 
 def test_discrete_in_discrete_out(data: rco.Measurement) -> None:
-    refiner = rco.RCORefiner(two_by_two(DT), **SETTINGS).run(data)
+    refiner = rco.RCORefiner.paper(two_by_two(DT), **SETTINGS).run(data)
     assert refiner.system.dt == DT
-    continuous = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(data)
+    continuous = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS).run(data)
     np.testing.assert_allclose(refiner.system.A, continuous.discrete_system.A, atol=1e-4)
 
 
@@ -258,9 +258,9 @@ def test_discrete_in_discrete_out(data: rco.Measurement) -> None:
 def test_indefinite_timebase_is_kept(data: rco.Measurement, dt: Any) -> None:
     sys = two_by_two(DT)
     loose = ct.ss(sys.A, sys.B, sys.C, sys.D, dt, inputs=["f1", "f2"], outputs=["v1", "v2"])
-    refiner = rco.RCORefiner(loose, **SETTINGS).run(data)
+    refiner = rco.RCORefiner.paper(loose, **SETTINGS).run(data)
     assert refiner.system.dt is dt
-    assert rco.RCORefiner(loose, dt=DT, **SETTINGS).run(data).system.dt == DT
+    assert rco.RCORefiner.paper(loose, dt=DT, **SETTINGS).run(data).system.dt == DT
 
 
 def test_refined_model_is_the_initial_one_in_feedback(data: rco.Measurement) -> None:
@@ -268,7 +268,7 @@ def test_refined_model_is_the_initial_one_in_feedback(data: rco.Measurement) -> 
     rng = np.random.default_rng(3)
     discrete = two_by_two(DT)
     b_u, d_u = 0.8 * discrete.B, 0.1 * np.eye(2)
-    refiner = rco.RCORefiner(
+    refiner = rco.RCORefiner.paper(
         discrete, correction_input=b_u, correction_feedthrough=d_u, **{**SETTINGS, "learning_rate": 100.0}
     )
     refiner.update(data.inputs[:, :300], data.outputs[:, :300])
@@ -290,7 +290,7 @@ def test_refined_model_is_the_initial_one_in_feedback(data: rco.Measurement) -> 
 
 
 def test_refined_systems_go_on_in_python_control(data: rco.Measurement) -> None:
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(data)
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS).run(data)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         ct.bode_plot(refiner.system)
@@ -312,7 +312,7 @@ def test_static_gain_model() -> None:
 def test_physical_models_are_taken_as_they_are() -> None:
     model = rco.mass_spring_damper([1.0], [1.0, 0.0], [200.0, 0.0])
     data = record_of_one(model.system)
-    refiner = rco.RCORefiner(model, dt=0.05, **SETTINGS).run(data)
+    refiner = rco.RCORefiner.paper(model, dt=0.05, **SETTINGS).run(data)
     assert refiner.discrete_system.state_labels == list(model.system.state_labels)
 
 
@@ -333,7 +333,7 @@ def record_of_one(sys: ct.StateSpace) -> rco.Measurement:
 
 
 def test_predict_is_a_free_run_from_the_present_state(data: rco.Measurement) -> None:
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, **{**SETTINGS, "learning_rate": 0.01})
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, **{**SETTINGS, "learning_rate": 0.01})
     refiner.update(data.inputs[:, :2500], data.outputs[:, :2500])
     before = state_of(refiner)
     predicted = refiner.predict(data.inputs[:, 2500:])
@@ -359,11 +359,11 @@ def test_predict_before_learning_is_the_initial_model() -> None:
 
 def test_history_needs_to_be_asked_for(data: rco.Measurement) -> None:
     with pytest.raises(rco.RCOError, match="history=True"):
-        _ = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(data).history
+        _ = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS).run(data).history
 
 
 def test_history_shapes_and_plot(data: rco.Measurement) -> None:
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, history=True, static_average=1, **SETTINGS).run(data)
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, history=True, static_average=1, **SETTINGS).run(data)
     h = refiner.history
     assert h.z1.shape == h.z2.shape == h.y.shape == (2, 3000)
     assert h.theta1.shape == (2, 4 * 6 + 3 * 2, 3000)
@@ -381,13 +381,13 @@ def test_history_shapes_and_plot(data: rco.Measurement) -> None:
 
 
 def test_bode_plot_with_and_without_the_measured_response(data: rco.Measurement) -> None:
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(data)
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS).run(data)
     assert refiner.bode_plot().axes.shape == (4, 2)
     assert refiner.bode_plot(data, title="chain").axes.shape == (6, 2)
 
 
 def test_text_and_html(data: rco.Measurement) -> None:
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, **SETTINGS).run(data)
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, **SETTINGS).run(data)
     lines = str(refiner).splitlines()
     assert 10 <= len(lines) <= 20
     assert max(map(len, lines)) <= 80
@@ -396,7 +396,7 @@ def test_text_and_html(data: rco.Measurement) -> None:
 
 
 def test_survives_pickle_and_deepcopy(data: rco.Measurement) -> None:
-    refiner = rco.RCORefiner(two_by_two(), dt=DT, history=True, **SETTINGS)
+    refiner = rco.RCORefiner.paper(two_by_two(), dt=DT, history=True, **SETTINGS)
     refiner.update(data.inputs[:, :500], data.outputs[:, :500])
     for twin in (pickle.loads(pickle.dumps(refiner)), copy.deepcopy(refiner)):
         np.testing.assert_array_equal(twin.theta, refiner.theta)
@@ -411,7 +411,7 @@ def test_survives_pickle_and_deepcopy(data: rco.Measurement) -> None:
 @pytest.mark.parametrize("samples", [1, 40])
 def test_a_call_that_raises_changes_none_of_the_forms(monkeypatch: pytest.MonkeyPatch, samples: int) -> None:
     """The second form of the race runs out of memory; the same samples go in afterwards as if it had not."""
-    from inner import CoefficientFilter
+    from inner import BlockFilter
 
     example = rco.examples.rlc()
     data = example.record(300)
@@ -420,24 +420,24 @@ def test_a_call_that_raises_changes_none_of_the_forms(monkeypatch: pytest.Monkey
     tried = rco.RCORefiner(example.initial, dt=example.dt)
     for refiner in (fine, tried):
         refiner.update(w[:, :100], y[:, :100])
-    take, calls = CoefficientFilter.take, []
+    step, calls = BlockFilter.step, []
 
-    def once(self: Any, block: Any, **how: Any) -> Any:
+    def once(self: Any, state: Any, block: Any, **how: Any) -> Any:
         calls.append(self)
         if len(calls) == 2:
             raise MemoryError("forced")
-        return take(self, block, **how)
+        return step(self, state, block, **how)
 
     def feed() -> None:
         for k in range(100, 140, samples):
             tried.update(w[:, k : k + samples], y[:, k : k + samples])
 
     with monkeypatch.context() as patch:
-        patch.setattr(CoefficientFilter, "take", once)
+        patch.setattr(BlockFilter, "step", once)
         with pytest.raises(MemoryError):
             feed()
     at = tried.n_samples
-    assert at == (100 if samples > 1 else 132)  # single samples wait for one another
+    assert at == (100 if samples > 1 else 127)  # they wait for a block of 64
     if at > 100:
         fine.update(w[:, 100:at], y[:, 100:at])
     for refiner in (fine, tried):

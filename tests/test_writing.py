@@ -39,7 +39,7 @@ def page(text="text"):
 
 def refiner():
     chain = rco.mass_spring_damper([1.0, 2.0], [0.3, 0.2], [40.0, 30.0])
-    one = rco.RCORefiner(chain, dt=0.02, order=1, window=20)
+    one = rco.RCORefiner.paper(chain, dt=0.02, order=1, window=20)
     rng = np.random.default_rng(4)
     one.update(rng.standard_normal((1, 60)), rng.standard_normal((chain.linear.n_outputs, 60)))
     return one

@@ -11,18 +11,33 @@ import control as ct
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arguments import as_flag
+from ..arguments import as_choice, as_flag, as_list, as_whole
 from ..data.measurement import Measurement
-from ..exceptions import RCOError
+from ..effects.effect import Effect
+from ..exceptions import ModelError, RCOError, warn
+from ..models.operating_point import check_stream_hold
+from ..models.physical_model import PhysicalModel
 from ..progress import Progress
 from ..results import Options, Result, picture, show
 from ..systems.linear import Array, LinearModel
 from ..writing import damaged
+from .families import (
+    Effects,
+    Entries,
+    Family,
+    FilterSettings,
+    all_entries,
+    checked_entries,
+    checked_settings,
+    nonzero_entries,
+)
+from .forms import INITIAL, Forms
 from .history import CoefficientHistory, History, Summary
-from .joint import assembled
 from .locks import Locked
 from .persistence import check_like, read_file, write_file
+from .paper import PaperStages
 from .samples import (
+    Sampled,
     as_missing,
     as_samples,
     check_samples,
@@ -31,7 +46,7 @@ from .samples import (
     sampled_model,
     whole_block,
 )
-from .scales import Scales
+from .scales import Plant, Scales, markov_parameters
 
 _CHUNK = 1000
 
@@ -40,9 +55,9 @@ class RCORefiner(Locked, Result):
     """Refine a linear model on measured samples, in two concurrent stages.
 
     Stage 1 adapts a *dynamic* correction until the output follows; its state estimates the true one.
-    Stage 2 fits a *static* correction to that: a refined model of the same order. By default several
-    forms of it run as exact filters and compete; `window`, `markov` or a ``static_...`` setting asks
-    for the paper's own equations, (23) to (46). Several threads may use it in turn. More in
+    Stage 2 finds a *static* correction: a refined model of the same order. By default it is a Kalman filter
+    for the state and the coefficients, in two forms that compete with the initial model; `paper` runs the
+    equations (23) to (46) of the paper instead. Several threads may use a refiner in turn. More in
     ``docs/refiner.md``.
 
     Parameters
@@ -51,11 +66,11 @@ class RCORefiner(Locked, Result):
         Initial model. A continuous one is discretized exactly.
     dt : float, optional
         Sampling time in s of the samples; a continuous model needs it.
-    static : {"auto", "nonzero", "discrete", "input"} or sequence, optional
-        What may change: "nonzero" entries of the model, all of the "discrete" one, the paper's u = theta
-        [x; w] through the "input"; "auto": these compete. Or entries (``["A[1,0]"]``), or effects.
-    effects : sequence of Effect, optional
-        Physical effects, as in ``static=[...]``.
+    effects : sequence of Effect or str, optional
+        What may change: physical effects, or entries of the matrices such as "A[1,0]".
+    form : {"auto", "nonzero", "discrete"}, optional
+        Without effects: the "nonzero" entries of the model, or all of the "discrete" one; "auto": these
+        compete with each other and with the initial model.
     history : bool, optional
         Keep every sample's course; otherwise memory is constant.
     missing : {"raise", "hold-out"}, optional
@@ -63,33 +78,28 @@ class RCORefiner(Locked, Result):
 
     Other Parameters
     ----------------
-    order, window, markov, learning_rate : int or float, optional
-        Stage 1: memory n_c in samples (5), window p (800; 100 beside the filters), mu Markov parameters
-        (20 or more), weight alpha of a change of theta (1e5; larger is slower).
-    static_window, static_markov, static_learning_rate, static_average : int or float, optional
-        The same of the paper's stage 2 (n_c = 0), and samples that its model averages (two windows).
-    correction_input, correction_feedthrough : array_like of shape (n, l_u), (n_y, l_u), optional
-        B_u, D_u: where the correction acts; default B and D (zero where B_u is given).
-    use_estimated_states : bool, optional
-        With False stage 1 does not run; the paper's stage 2 then sees its own model's states.
-    scale : "auto" or mapping, optional
-        Size of signals: ``{"inputs": ..., "outputs": ...}``, "states", "corrections"; "auto": rms.
     noise : float or array_like of shape (n_y,), optional
-        Sensor noise (standard deviation, units of the outputs); else from the innovations.
+        Sensor noise (standard deviation, units of the outputs); else from the residual.
     hold : {"zoh", "foh"}, optional
         The input between samples.
-    disturbance, forgetting, substeps : float, float and int, optional
+    disturbance, forgetting : float, optional
         Unknown force over the input, rms (0; 0.03 with `forgetting`); share of what is known that a
-        sample leaves (1); steps per sample for nonlinear effects (4).
+        sample leaves (1).
+    substeps : int, optional
+        Steps per sample for nonlinear effects.
+    order, learning_rate : int or float, optional
+        Stage 1: its memory n_c in samples (5), weight alpha of a change of theta (1e5; larger is slower).
+    use_estimated_states : bool, optional
+        With False stage 1 does not run.
 
     Raises
     ------
     control.ControlArgument
         If the model is no `StateSpace`, a setting has the wrong type, or settings exclude one another.
     control.ControlDimension
-        If B_u, D_u or a scale has the wrong shape.
+        If the noise has the wrong shape.
     ModelError
-        If a setting is out of range, dt is missing or contradicts, or the correction reaches no output.
+        If a setting is out of range, or dt is missing or contradicts.
 
     Examples
     --------
@@ -106,11 +116,39 @@ class RCORefiner(Locked, Result):
         model: Any,
         *,
         dt: float | None = None,
-        static: str | Sequence[Any] = "auto",
+        effects: Sequence[Any] | None = None,
+        form: str = "auto",
+        history: bool = False,
+        missing: str = "raise",
+        noise: ArrayLike | None = None,
+        hold: str = "zoh",
+        disturbance: float | None = None,
+        forgetting: float = 1.0,
+        substeps: int | None = None,
         order: int = 5,
-        window: int | None = None,
-        markov: int | None = None,
-        learning_rate: float | None = None,
+        learning_rate: float = 1e5,
+        use_estimated_states: bool = True,
+        **old: Any,
+    ) -> None:
+        given = {
+            "effects": effects if effects is None else _as_tuple(effects), "form": form, "history": history,
+            "missing": missing, "noise": noise, "hold": hold, "disturbance": disturbance,
+            "forgetting": forgetting, "substeps": substeps, "order": order, "learning_rate": learning_rate,
+            "use_estimated_states": use_estimated_states,
+        }  # fmt: skip
+        settings, make = modern(given, old) if old else (given, assembled)
+        self._begin(model, dt, settings, make)
+
+    @classmethod
+    def paper(
+        cls,
+        model: Any,
+        *,
+        dt: float | None = None,
+        order: int = 5,
+        window: int = 800,
+        markov: int = 20,
+        learning_rate: float = 1e5,
         static_window: int | None = None,
         static_markov: int | None = None,
         static_learning_rate: float | None = None,
@@ -121,53 +159,75 @@ class RCORefiner(Locked, Result):
         scale: str | Mapping[str, Any] = "auto",
         history: bool = False,
         missing: str = "raise",
-        effects: Sequence[Any] | None = None,
-        noise: ArrayLike | None = None,
-        hold: str = "zoh",
-        disturbance: float | None = None,
-        forgetting: float = 1.0,
-        substeps: int | None = None,
-    ) -> None:
-        # arguments stay as they were given: `save` writes them, `load` builds the refiner from them
-        self.model = model
-        self.dt = dt
-        self.static = static if isinstance(static, str) else _as_tuple(static)
-        self.order = order
-        self.window = window
-        self.markov = markov
-        self.learning_rate = learning_rate
-        self.static_window = static_window
-        self.static_markov = static_markov
-        self.static_learning_rate = static_learning_rate
-        self.static_average = static_average
-        self.correction_input = correction_input
-        self.correction_feedthrough = correction_feedthrough
-        self.use_estimated_states = use_estimated_states
-        self.scale = scale
-        self.missing = as_missing(missing)
-        self.effects = effects if effects is None else _as_tuple(effects)
-        self.noise = noise
-        self.hold = hold
-        self.disturbance = disturbance
-        self.forgetting = forgetting
-        self.substeps = substeps
-        # discretize the initial model at the sampling time of the stream
-        self._sampled = sampled_model(model, dt)
-        self._keep = as_flag(history, "history")
-        # choose the estimator: joint Kalman filter, forms side by side, or the paper's equations
-        given = {name: getattr(self, name) for name in _SETTINGS}
-        self._estimator = assembled(given | {"history": history}, self._sampled)
-        self.reset()
-
-    def update(self, w: ArrayLike, y: ArrayLike) -> None:
-        """Learn from one sample or from a block of samples.
-
-        A call that raises an error changes nothing.
+    ) -> RCORefiner:
+        """Return a refiner that runs the equations (23) to (46) of the paper, both stages.
 
         Parameters
         ----------
-        w : array_like of shape (n_w,) or (n_w, N)
-            Inputs; a number or (N,) where there is one.
+        model, dt, history, missing
+            As of the class.
+        order, window, markov, learning_rate : int or float, optional
+            Stage 1: memory n_c in samples, window p, mu Markov parameters, weight alpha.
+        static_window, static_markov, static_learning_rate : int or float, optional
+            The same of stage 2, whose n_c is 0; by default those of stage 1.
+        static_average : int, optional
+            Samples that the refined model averages; by default two windows.
+        correction_input, correction_feedthrough : array_like of shape (n, l_u), (n_y, l_u), optional
+            B_u, D_u: where the correction acts; default B and D (zero where B_u is given).
+        use_estimated_states : bool, optional
+            With False stage 1 does not run; stage 2 then sees its own model's states.
+        scale : "auto" or mapping, optional
+            Size of signals: ``{"inputs": ..., "outputs": ...}``, "states", "corrections"; "auto": rms.
+
+        Returns
+        -------
+        RCORefiner
+
+        Raises
+        ------
+        control.ControlArgument, control.ControlDimension, ModelError
+            As of the class; also if the correction reaches no output.
+
+        Examples
+        --------
+        >>> example = rco.examples.rlc()
+        >>> refiner = rco.RCORefiner.paper(example.initial, dt=example.dt, **example.settings)
+        >>> refiner.form
+        'paper'
+        """
+        given = {
+            "order": order, "window": window, "markov": markov, "learning_rate": learning_rate,
+            "static_window": static_window, "static_markov": static_markov,
+            "static_learning_rate": static_learning_rate, "static_average": static_average,
+            "correction_input": correction_input, "correction_feedthrough": correction_feedthrough,
+            "use_estimated_states": use_estimated_states, "scale": scale, "history": history,
+            "missing": missing,
+        }  # fmt: skip
+        refiner = cls.__new__(cls)
+        refiner._begin(model, dt, given, paper_stages)
+        return refiner
+
+    def _begin(self, model: Any, dt: float | None, settings: dict[str, Any], make: Callable[..., Any]) -> None:
+        # settings stay as they were given: `save` writes them, `load` builds the refiner from them
+        self.model, self.dt, self.effects = model, dt, settings.get("effects")
+        self._settings, self._paper = settings, make is paper_stages
+        self.missing = as_missing(settings["missing"])
+        # discretize the initial model at the sampling time of the stream
+        self._sampled = sampled_model(model, dt)
+        self._keep = as_flag(settings["history"], "history")
+        self._estimator = make(model, self._sampled, settings)
+        self.reset()
+
+    def update(self, w: ArrayLike | Measurement, y: ArrayLike | None = None) -> None:
+        """Learn from one sample or from a block of samples.
+
+        A call that raises an error changes nothing. A block of samples is learned once it is complete: the
+        model is up to 64 samples old, less with `forgetting` (see `age`).
+
+        Parameters
+        ----------
+        w : array_like of shape (n_w,) or (n_w, N), or Measurement
+            Inputs; a number or (N,) where there is one. Or a record of inputs and outputs.
         y : array_like of shape (n_y,) or (n_y, N)
             Outputs at the same samples.
 
@@ -189,6 +249,10 @@ class RCORefiner(Locked, Result):
             With ``effects=``, where the first samples have a constant part that no effect takes: a
             sensor offset distorts the coefficients; estimate an ``"output_offset"`` beside them.
         """
+        if isinstance(w, Measurement):
+            if y is not None:
+                raise ct.ControlArgument("update takes a Measurement, or inputs and outputs, not both")
+            w, y = (signals.T for signals in checked_record(self._sampled, w, self._hold, whole=False))
         # a missing input holds its last value
         model, step = self._sampled.initial, self._sampled.step
         latest = None if self.missing == "raise" else self._latest
@@ -235,7 +299,7 @@ class RCORefiner(Locked, Result):
         learned from, however few.
         """
         # inputs and outputs in the order of the model, (N, signals)
-        inputs, outputs = checked_record(self._sampled, data, self.hold)
+        inputs, outputs = checked_record(self._sampled, data, self._hold)
         with Progress(progress) as bar:
             # blocks of 1,000 samples: the loop over samples is compiled, progress is shown between
             for first in bar.over(range(0, inputs.shape[0], _CHUNK), "refining"):
@@ -271,7 +335,7 @@ class RCORefiner(Locked, Result):
         model = self._sampled.initial
         inputs = as_samples(w, "inputs", model.n_inputs)
         check_samples(inputs, model.input_labels, "input", self.n_samples, self._sampled.step)
-        outputs = self._estimator.filter.predict(np.ascontiguousarray(inputs.T))
+        outputs = self._estimator.predict(np.ascontiguousarray(inputs.T))
         return outputs[0] if model.n_outputs == 1 else outputs
 
     def reset(self) -> None:
@@ -302,7 +366,10 @@ class RCORefiner(Locked, Result):
         # settings rebuild the estimator, `state` restores its memory
         content = {
             "what": "refiner",
-            "settings": {name: getattr(self, name) for name in _SETTINGS} | {"history": self._keep},
+            "model": self.model,
+            "dt": self.dt,
+            "settings": self._settings,
+            "paper": self._paper,
             "state": self._estimator.state(),
             "latest": self._latest,
         }
@@ -352,7 +419,8 @@ class RCORefiner(Locked, Result):
         # build a fresh refiner, compare the saved memory with its memory, then take it over
         content = read_file(path, laws)
         with damaged(path):
-            refiner = cls(**content["settings"])
+            make = cls.paper if content["paper"] else cls
+            refiner = make(content["model"], dt=content["dt"], **content["settings"])
             check_like(content["latest"], refiner._latest, "latest")
             refiner._estimator.restore(content["state"])
             refiner._latest = content["latest"]
@@ -367,19 +435,23 @@ class RCORefiner(Locked, Result):
     def n_learned(self) -> int:
         """Number of samples learned from.
 
-        It is 0 while the first samples are held back for the scales.
+        It is 0 while the first samples are held back. The others wait until their block is complete.
         """
         return self._estimator.n_learned
+
+    @property
+    def age(self) -> int:
+        """Number of samples since the last one that `system` was learned from."""
+        return self.n_samples - self.n_learned
 
     @property
     def form(self) -> str:
         """Form of the static correction that the refined model has.
 
-        "paper" by the paper's equations, "coefficients" where they were named; with competing forms
-        "nonzero", "discrete", "input", or "initial" where no form predicts better than
-        the initial model.
+        "paper" by the paper's equations, "coefficients" with effects; with competing forms
+        "nonzero", "discrete", or "initial" where neither predicts better than the initial model.
         """
-        return self._estimator.static.form
+        return self._estimator.form
 
     @property
     def scores(self) -> dict[str, float]:
@@ -387,7 +459,7 @@ class RCORefiner(Locked, Result):
 
         It refers to the last stretch that the forms had not seen.
         """
-        return self._estimator.static.scores
+        return self._estimator.scores
 
     @property
     def scales(self) -> Scales | None:
@@ -425,7 +497,7 @@ class RCORefiner(Locked, Result):
 
         They are infinite before anything is learned.
 
-        Of the joint filter for white innovations; by the paper's equations the
+        The noise of the sensors may be colored; by the paper's equations they are the
         scatter over the samples that the coefficients are averaged over.
         """
         return self._estimator.standard_deviations()
@@ -442,7 +514,7 @@ class RCORefiner(Locked, Result):
         RCOError
             By the paper's equations: their coefficients are no parameters.
         """
-        return self._estimator.filter.parameters
+        return self._estimator.parameters
 
     @property
     def covariance(self) -> Array:
@@ -453,13 +525,13 @@ class RCORefiner(Locked, Result):
         RCOError
             By the paper's equations.
         """
-        return self._estimator.filter.covariance
+        return self._estimator.covariance
 
     @property
     def discrete_system(self) -> ct.StateSpace:
         """Refined model in discrete time, labels kept."""
         # the filter estimates in discrete time, or discretizes with the hold of the stream
-        return self._estimator.static.discrete_system(self._name()).to_statespace()
+        return self._estimator.discrete_system(self._name()).to_statespace()
 
     @property
     def system(self) -> ct.StateSpace:
@@ -528,6 +600,11 @@ class RCORefiner(Locked, Result):
         """Cells and sentences of `str(refiner)`."""
         return self._estimator.summary()
 
+    @property
+    def _hold(self) -> str:
+        """How the input runs between samples."""
+        return str(self._settings.get("hold", "zoh"))
+
     def _name(self) -> str:
         return f"{self._sampled.initial.name}$refined"
 
@@ -552,4 +629,140 @@ def _as_tuple(items: Any) -> tuple[Any, ...]:
     return tuple(np.atleast_1d(np.array(items, dtype=object)))
 
 
-_SETTINGS = tuple(name for name in inspect.signature(RCORefiner).parameters if name != "history")
+def _as_items(items: Any) -> list[Any]:
+    return [items] if isinstance(items, str | Effect) else as_list(items, "effects", "entries or effects")
+
+
+_BESIDE = {"window": 100, "markov": 20, }  # stage 1 beside the filter: a short window costs less
+_MOST = 150  # coefficients of a form that takes part in a comparison unasked
+_PAPERS = ("window", "markov", "static_window", "static_markov", "static_learning_rate",
+           "static_average")  # fmt: skip
+_STAGE_ONE = ("correction_input", "correction_feedthrough", "scale")
+
+
+def modern(given: dict[str, Any], old: dict[str, Any]) -> tuple[dict[str, Any], Callable[..., Any]]:
+    """Settings of the constructor for keywords of version 0.2, and what makes the estimator of them.
+
+    Raises
+    ------
+    TypeError
+        If a keyword is unknown.
+    control.ControlArgument
+        If keywords exclude one another.
+
+    Warns
+    -----
+    FutureWarning
+        With the line that replaces them.
+    """
+    known = ("static", *_PAPERS, *_STAGE_ONE)
+    if unknown := [name for name in old if name not in known]:
+        raise TypeError(f"RCORefiner has no argument {unknown[0]!r}")
+    static, papers = old.pop("static", "auto"), [name for name in _PAPERS if old.get(name) is not None]
+    filters = [name for name in ("noise", "disturbance", "substeps") if given[name] is not None]
+    filters += [name for name, value in (("hold", "zoh"), ("forgetting", 1.0)) if given[name] != value]
+    form, effects = static if isinstance(static, str) else "auto", None if isinstance(static, str) else static
+    if effects is not None and given["effects"] is not None or (form != "auto" and given["effects"] is not None):
+        raise ct.ControlArgument("effects= and static= name the same thing; give effects=")
+    effects = given["effects"] if effects is None else _as_tuple(effects)
+    if papers and effects is None and form == "auto":
+        if filters:
+            raise ct.ControlArgument(
+                f"{filters[0]} is a setting of the filter, {papers[0]} one of the paper's equations; leave one "
+                "of the two out"
+            )
+        shared = ("order", "learning_rate", "use_estimated_states", "history", "missing")
+        found = {name: given[name] for name in shared} | old
+        defaults = {"window": 800, "markov": 20}
+        found |= {name: value for name, value in defaults.items() if found.get(name) is None}
+        # version 0.2 averaged 800 samples unless a window was given
+        if all(old.get(name) is None for name in ("static_average", "window", "static_window")):
+            found["static_average"] = 800
+        whole = dict.fromkeys(inspect.signature(RCORefiner.paper).parameters)
+        whole = {name: None for name in whole if name not in ("model", "dt")} | {"scale": "auto"} | found
+        _outdated(f"use RCORefiner.paper(model, dt=..., {papers[0]}=...)")
+        return whole, paper_stages
+    if wrong := [name for name in papers if name in _PAPERS[2:]]:
+        raise ct.ControlArgument(f"{wrong[0]} is a setting of the paper's static stage: use RCORefiner.paper")
+    if form == "input":
+        raise ct.ControlArgument(
+            'the form "input" is gone: use RCORefiner.paper, or form="discrete", which contains it'
+        )
+    line = f"effects={list(effects)!r}" if effects is not None else f"form={form!r}"
+    _outdated(f"use RCORefiner(model, dt=..., {line})" if static != "auto" else f"{', '.join(old)} set stage 1 alone")
+    return given | {"effects": effects, "form": form} | old, assembled
+
+
+def _outdated(line: str) -> None:
+    warn(f"keywords of version 0.2: {line}", FutureWarning)
+
+
+def paper_stages(model: Any, sampled: Sampled, given: dict[str, Any]) -> PaperStages:
+    """Both stages by the paper's equations."""
+    return PaperStages(sampled, given, as_flag(given["history"], "history"))
+
+
+def assembled(model: Any, sampled: Sampled, given: dict[str, Any]) -> Forms:
+    """Filters for these settings, and stage 1 beside them."""
+    effects, form, initial = given["effects"], given["form"], sampled.initial
+    if effects is not None and form != "auto":
+        raise ct.ControlArgument("effects= and form= name the same thing; give one of them")
+    form = as_choice(form, "form", ("auto", "nonzero", "discrete"))
+    substeps = given["substeps"]
+    if substeps is not None:
+        substeps = as_whole(substeps, "substeps", least=1, error=ModelError)
+    step = 1.0 if sampled.step is None else sampled.step
+    settings = checked_settings(
+        initial.n_outputs, step, *(given[name] for name in ("hold", "noise", "disturbance", "forgetting"))
+    )
+    items = None if effects is None else _as_items(effects)
+    if items is None or (items and all(isinstance(item, str) for item in items)):
+        if substeps is not None:
+            raise ct.ControlArgument("substeps is a setting of nonlinear effects; give effects=[...]")
+        physical = getattr(model, "physical_model", model)
+        if isinstance(physical, PhysicalModel):
+            check_stream_hold(physical, settings.hold)
+    families: dict[str, Family]
+    if items is None:
+        families = _forms(form, sampled, settings)
+    elif items and all(isinstance(item, str) for item in items):
+        families = {"coefficients": Entries(initial, initial, checked_entries(initial, items), settings, 0.1)}
+    else:
+        items = [Effect("coefficient", item) if isinstance(item, str) else item for item in items]
+        families = {"coefficients": Effects(model, items, settings, substeps)}
+    first, silent = _stage_one(sampled, given)
+    return Forms(families, first, as_flag(given["history"], "history"), silent)
+
+
+def _forms(form: str, sampled: Sampled, settings: FilterSettings) -> dict[str, Family]:
+    """Return the forms that take part, the most physical first, and the initial model."""
+    initial, discrete = sampled.initial, sampled.discrete
+    found: dict[str, Family] = {}
+    if form in ("auto", "nonzero"):
+        found["nonzero"] = Entries(initial, initial, nonzero_entries(initial), settings, 0.0, one_to_one=True)
+    if form in ("auto", "discrete"):
+        if settings.hold == "zoh" or not initial.is_continuous:
+            names = all_entries(discrete)
+            found["discrete"] = Entries(initial, discrete, names, settings, 0.1, one_to_one=True)
+        elif form == "discrete":
+            raise ModelError("form='discrete' needs a held input; leave hold out, or take form='nonzero'")
+    # a form with too many coefficients takes part on request only
+    if form == "auto":
+        found = {name: family for name, family in found.items() if len(family.labels) <= _MOST}
+    found = {name: family for name, family in found.items() if family.labels}
+    return found | {INITIAL: Entries(initial, initial, [], settings, 0.0)}
+
+
+def _stage_one(sampled: Sampled, given: dict[str, Any]) -> tuple[PaperStages | None, str]:
+    """Stage 1 beside the filter, or why there is none."""
+    if not as_flag(given["use_estimated_states"], "use_estimated_states"):
+        return None, ""
+    none = dict.fromkeys((*_PAPERS, *_STAGE_ONE)) | {"scale": "auto"}
+    given = none | _BESIDE | {name: value for name, value in given.items() if value is not None}
+    # Markov parameters: does each input act on an output within n samples?
+    m = sampled.discrete
+    shown = markov_parameters(Plant(m.A, m.B, m.B, m.C, m.D, m.D), m.n_states + 1).any(axis=(0, 1))
+    given_path = given["correction_input"] is not None or given["correction_feedthrough"] is not None
+    if not given_path and not shown.all():
+        return None, "Stage 1 does not run: an input affects no output, so it cannot correct any."
+    return PaperStages(sampled, given, given["history"], beside=True), ""

@@ -270,10 +270,10 @@ def checked_block(
     return Block(inputs, outputs, known.astype(np.uint8), use.astype(np.uint8))
 
 
-def checked_record(setup: Sampled, data: Any, hold: str) -> tuple[Array, Array]:
+def checked_record(setup: Sampled, data: Any, hold: str, *, whole: bool = True) -> tuple[Array, Array]:
     """Return inputs and outputs of a record as (N, signals).
 
-    They are in the order of the model's channels.
+    They are in the order of the model's channels. Part of a record (not `whole`) may be short or at rest.
     """
     model = setup.initial
     data = as_record(data)
@@ -301,14 +301,14 @@ def checked_record(setup: Sampled, data: Any, hold: str) -> tuple[Array, Array]:
             "without it"
         )
     # too short for the states, or an input that excites nothing
-    if data.n_samples < model.n_states:
+    if whole and data.n_samples < model.n_states:
         raise DataError(
             f"record {data.name!r} has {data.n_samples} sample(s) for a model of {model.n_states} "
             "states; give a longer record, or a smaller model"
         )
     inputs, outputs = data.inputs[list(channels.inputs)], data.outputs[list(channels.outputs)]
     for signal, label in zip(inputs, model.input_labels, strict=True):
-        if np.ptp(signal) == 0.0:
+        if whole and np.ptp(signal) == 0.0:
             raise DataError(
                 f"input {label!r} is constant ({signal[0]:g}) from sample 0 to {data.n_samples - 1}: nothing "
                 "can be learned from it. Give a stretch where it varies, or leave it out of the model"

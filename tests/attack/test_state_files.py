@@ -37,7 +37,8 @@ def signals(n, stiffness=55.0, seed=12):
 
 
 def refiner(n, **settings):
-    one = rco.RCORefiner(cart(), dt=0.02, **settings)
+    make = rco.RCORefiner.paper if "window" in settings else rco.RCORefiner
+    one = make(cart(), dt=0.02, **settings)
     w, y = signals(n, 48.0)
     one.update(w, y)
     return one
