@@ -129,6 +129,13 @@ def over_time(figure: Callable[..., Any], signals: Array) -> Array:
     return np.array([figure(row, axis=0) if row.size else np.nan for row in rows])
 
 
+def difference(simulated: Array, measured: Array) -> Array:
+    """Return simulated minus measured outputs, zero where none were measured."""
+    error = simulated - measured
+    error[np.isnan(measured)] = 0.0
+    return error
+
+
 def check_whole(data: Any, purpose: str) -> None:
     """Refuse a record with gaps, naming the first one, where all samples are needed."""
     if data.there is None:

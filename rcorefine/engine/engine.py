@@ -117,11 +117,12 @@ class Engine:
         point = structure.model.operating_point
         self._level = np.zeros(structure.n_outputs) if point is None else point.outputs
         self._measured += self._level
-        self._largest = np.abs(self._measured).max(axis=0, initial=0.0)
+        self._largest = np.fmax.reduce(np.abs(self._measured), axis=0, initial=0.0)
         # an empty record has no size
         far = _FAR if structure.field is None else _FAR_OF_FIELD
         self._far = np.where(self._largest > 0, far * self._largest, np.inf)
         self._nowhere = np.zeros(self._measured.shape, dtype=np.uint8)
+        self._there = None if data.there is None else data.there.T
 
     def run(
         self,
@@ -150,7 +151,7 @@ class Engine:
         gain : ndarray, shape (n, n_y), optional
             Observer gain; a free run without it (or `lead`).
         use : ndarray of bool, shape (N, n_y), optional
-            Where the observer corrects; everywhere by default.
+            Where the observer corrects; by default wherever there is a sample.
         histories : bool
             Whether to return states and forces.
         check : bool
@@ -174,6 +175,8 @@ class Engine:
         if not sensitivity:
             drive = drive.held
         lead = self.lead if gain is None else gain
+        if use is None and lead is not None:  # nothing corrects where nothing was measured
+            use = self._there
         observer, loop = self._corrections(lead, use), commands(s, theta, self._signal, lead)
         # linear model: initial states act by superposition, so their derivatives are computed separately
         apart = initial_state and use is None and self._lawless

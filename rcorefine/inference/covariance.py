@@ -15,7 +15,8 @@ from scipy import stats
 from scipy.signal import lfilter
 
 from ..systems.linear import Array
-from .whitening import RESOLUTION, autoregression, innovations, stable_model
+from ..data.signals import over_time
+from .whitening import RESOLUTION, autoregression, innovations, over_gaps, readings, stable_model
 
 _UNSEEN = 1e-7  # singular value of the Jacobian with unit columns below which a direction is not determined
 _AWAY = 2.0  # increase of the power of a residual that only an error of the model explains
@@ -201,7 +202,7 @@ def colored(
     for i, (a, variance) in enumerate(_noise_models(residuals, jacobians, precision, order, at)):
         a, variance = stable_model(a, variance)
         for jacobian, own in zip(jacobians, at, strict=True):
-            J = jacobian[i]
+            J = np.nan_to_num(jacobian[i])
             # J' R J: filter the columns backward in time by 1 / A(z), then square
             backwards = J if a.size == 1 else lfilter([1.0], a, J[::-1], axis=0)
             normal[np.ix_(own, own)] += J.T @ J
@@ -222,11 +223,12 @@ def _noise_models(
     Restricted maximum likelihood allows for that, by expectation maximization with the unknowns as missing
     data (Laird and Ware, Biometrics 38 (1982) 963). The orders are those of the residuals.
     """
-    joined = np.concatenate(residuals, axis=1)
+    joined = [np.concatenate(rows) for rows in zip(*residuals, strict=True)]
+    count = sum(np.count_nonzero(~np.isnan(row)) for row in joined)
     # degrees of freedom that the fit has used
-    correction = joined.size / max(joined.size - precision.size, 1)
+    correction = count / max(count - precision.size, 1)
     models = [autoregression(row, order=order) for row in joined]
-    joined = joined - joined.mean(axis=1, keepdims=True)
+    joined = [row - np.nanmean(row) for row in joined]
     # start: models of the residuals as they are
     models = [(a, variance * correction) for a, variance in models]
     # least variance of an output whose residual is not rounding
@@ -235,8 +237,9 @@ def _noise_models(
     for _ in range(_ROUNDS if noisy else 0):
         # expectation: change of the unknowns, and the residual that it leaves
         shift, roots = _shift_unknowns(noisy, residuals, jacobians, precision, at)
-        left = joined - np.concatenate([J @ shift[own] for J, own in zip(jacobians, at, strict=True)], axis=1)
-        if (np.sum(left**2, axis=1) > _AWAY * np.sum(joined**2, axis=1))[list(noisy)].any():
+        moved = [[J @ shift[own] for J in rows] for rows, own in zip(jacobians, at, strict=True)]
+        left = [row - np.concatenate(change) for row, change in zip(joined, zip(*moved, strict=True), strict=True)]
+        if any(np.nansum(left[i] ** 2) > _AWAY * np.nansum(joined[i] ** 2) for i in noisy):
             break
         # maximization: the noise model of each output
         before, change = dict(noisy), 0.0
@@ -244,7 +247,7 @@ def _noise_models(
             unsure = np.concatenate([J[i] @ root for J, root in zip(jacobians, roots, strict=True)])
             noisy[i] = autoregression(left[i], order=a.size - 1, unsure=unsure)
             change = max(change, float(np.abs(noisy[i][0] - a).max()), abs(noisy[i][1] / variance - 1.0))
-        if change * np.sqrt(joined.shape[1]) < _ALIKE:
+        if change * np.sqrt(max(map(len, joined))) < _ALIKE:
             break
     return [noisy.get(i, model) for i, model in enumerate(models)]
 
@@ -265,7 +268,8 @@ def _shift_unknowns(
     for i, (a, variance) in models.items():
         for r, J, own in zip(residuals, jacobians, at, strict=True):
             # whiten residual and Jacobian by A(z) of the output
-            left, white = (innovations(a, x[i])[a.size - 1 :] for x in (r, J))
+            gaps = np.isnan(r[i]).any()
+            left, white = (over_gaps(a, x[i]) if gaps else innovations(a, x[i])[a.size - 1 :] for x in (r, J))
             normal[np.ix_(own, own)] += white.T @ white / variance
             slope[own] += white.T @ left / variance
     inverse, _, _ = pseudo_inverse(normal)
@@ -289,12 +293,30 @@ def parameter_uncertainty(
     The residual may be colored. If it is white, this is the Cramer-Rao bound ``sigma^2 (J'J)^-1``.
     The parameters are those of `colored`.
     """
+    joined = np.concatenate(residuals, axis=1)
+    count = np.count_nonzero(~np.isnan(joined))
+    # readings of slow sensors without what lies between them
+    residuals, jacobians = _readings(residuals, jacobians)
     normal, middle = colored(residuals, jacobians, precision, order, columns)
     _, lost, condition = pseudo_inverse(normal)
-    joined = np.concatenate(residuals, axis=1)
     # standard deviation with the degrees of freedom of the fit
-    noise = np.sqrt(np.mean(joined**2, axis=1) * joined.size / max(joined.size - precision.size, 1))
+    noise = np.sqrt(over_time(np.mean, joined**2) * count / max(count - precision.size, 1))
     return Uncertainty(covariance(normal, middle), noise, condition, lost)
+
+
+def _readings(residuals: Sequence[Any], jacobians: Sequence[Any]) -> tuple[Sequence[Any], Sequence[Any]]:
+    """Return residuals and Jacobians without what lies between the readings of slow sensors."""
+    _, steps = readings(residuals)
+    if steps is None:
+        return residuals, jacobians
+    phases = [[int(np.isnan(row).argmin()) for row in block] for block in residuals]
+    return tuple(
+        [
+            [row[first::step] for row, first, step in zip(block, firsts, steps, strict=True)]
+            for block, firsts in zip(blocks, phases, strict=True)
+        ]
+        for blocks in (residuals, jacobians)
+    )  # type: ignore[return-value]
 
 
 def unseen_combinations(

@@ -242,7 +242,8 @@ def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
                 column = change[:, :, None]
             else:
                 column = weights[:, :, None] * run.sensitivity[:, :, p:]
-            ok = run.blew_up < 0 and np.isfinite(run.outputs).all() and np.isfinite(column).all()
+            sound = np.isfinite(column[~np.isnan(judged[i])]).all()
+            ok = run.blew_up < 0 and np.isfinite(run.outputs).all() and sound
             wide[i].append(column if ok else np.zeros_like(column))
     return [np.concatenate(parts, axis=2) for parts in wide]
 

@@ -12,6 +12,7 @@ from scipy import stats
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from ..exceptions import DataError
+from ..jit import compiled
 from ..systems.linear import Array
 
 #: Share of an output's standard deviation below which a residual in time is that of the arithmetic.
@@ -45,10 +46,14 @@ class Whitener:
         Whitening polynomials, leading coefficient 1.
     scales : ndarray, shape (n_y,)
         Standard deviation of each innovation.
+    steps : tuple of int, or None
+        Where outputs have gaps: samples from one reading of each sensor to the next, on which its filter
+        works. Samples that were not measured are NaN in each block.
     """
 
     filters: tuple[Array, ...]
     scales: Array
+    steps: tuple[int, ...] | None = None
 
     @classmethod
     def fit(
@@ -71,10 +76,11 @@ class Whitener:
             Standard deviation below which an innovation is rounding.
         """
         # one model for each output, over all records
-        models = [autoregression(row, order=order, most=most) for row in np.concatenate(residuals, axis=1)]
+        rows, steps = readings(residuals)
+        models = [autoregression(row, order=order, most=most) for row in rows]
         left = np.hypot(np.sqrt([variance for _, variance in models]), floor)
         # zero innovations (no sample counts, or the observer follows the record) are no noise level
-        return cls(tuple(a for a, _ in models), left + (left == 0))
+        return cls(tuple(a for a, _ in models), left + (left == 0), steps)
 
     @property
     def orders(self) -> tuple[int, ...]:
@@ -84,9 +90,11 @@ class Whitener:
     def of_output(self, i: int, signal: Array) -> Array:
         """Whiten a signal (N,) or (N, k) of one output.
 
-        The result begins at the first sample with a whole past.
+        The result begins at the first sample with a whole past, and has no row where nothing was measured.
         """
         a = self.filters[i]
+        if self.steps is not None:
+            return over_gaps(a, signal, self.steps[i]) / self.scales[i]
         with np.errstate(over="ignore"):  # columns of coefficients with a large unit may overflow
             return np.asarray(innovations(a, signal)[a.size - 1 :] / self.scales[i])
 
@@ -118,8 +126,110 @@ class Whitener:
 
     def outputs(self, blocks: Sequence[Array]) -> NDArray[np.intp]:
         """Output that each row of `apply` belongs to."""
-        orders = self.orders
-        return np.concatenate([np.full(b.shape[1] - p, i) for b in blocks for i, p in enumerate(orders)])
+        counts = [np.count_nonzero(~np.isnan(row)) for block in blocks for row in block]
+        orders = self.orders * len(blocks)
+        rows = np.arange(len(counts)) % len(self.orders)
+        return np.repeat(rows, np.maximum(np.subtract(counts, orders), 0))
+
+
+def readings(residuals: Sequence[Array]) -> tuple[list[Array], tuple[int, ...] | None]:
+    """Return the readings of each output, one record after the other.
+
+    What lies between the readings of a slow sensor is left out; a reading that is missing is NaN. The second
+    value is how many samples each sensor takes for one, None where no record (n_y, N) has gaps.
+    """
+    joined = np.concatenate(residuals, axis=1)
+    if not np.isnan(joined).any():
+        return list(joined), None
+    rows, steps = [], []
+    for every in zip(*residuals, strict=True):
+        at = [np.flatnonzero(~np.isnan(row)) for row in every]
+        apart = np.concatenate([np.diff(places) for places in at])
+        steps.append(int(np.gcd.reduce(apart)) or 1)
+        pieces = [row[p[0] : p[-1] + 1 : steps[-1]] for row, p in zip(every, at, strict=True) if p.size]
+        rows.append(np.concatenate([joined[0, :0], *pieces]))
+    return rows, tuple(steps)
+
+
+_UNKNOWN = 1e8  # variance of the values before the first sample, over that of the innovations
+
+
+def over_gaps(a: Array, signal: Array, step: int = 1) -> Array:
+    """Return the innovations of a signal, of those of its samples that are not NaN.
+
+    Each is that of the Kalman filter whose states are the last values (Jones, Technometrics 22 (1980) 389),
+    over its standard deviation in units of the filter's.
+
+    Parameters
+    ----------
+    a : ndarray, shape (order + 1,)
+        Whitening filter.
+    signal : ndarray, shape (N,) or (N, k)
+        Signal or columns; NaN in all columns where nothing was measured.
+    step : int
+        Samples from one reading to the next.
+
+    Returns
+    -------
+    ndarray, shape (n,) or (n, k)
+        Without the first ones, which the filter needs for a past.
+
+    Examples
+    --------
+    >>> signal = np.array([1.0, 2.0, np.nan, 4.0])
+    >>> print(over_gaps(np.array([1.0, -0.5]), signal).round(4))  # the last: 4 - 0.25 * 2 over sqrt(1.25)
+    [1.5    3.1305]
+    """
+    columns = signal.reshape(len(signal), -1)
+    known = ~np.isnan(columns[:, 0])
+    if a.size == 1:
+        return signal[known]
+    found = np.empty((np.count_nonzero(known), columns.shape[1]))
+    at = 0
+    for first in np.unique(np.flatnonzero(known) % step):
+        part = known[first::step]
+        _bridge(a, columns[first::step], part, _UNKNOWN * np.eye(a.size - 1), found[at:])
+        at += np.count_nonzero(part)
+    return np.asarray(found[a.size - 1 :].reshape(-1, *signal.shape[1:]))
+
+
+@compiled
+def _bridge(a, signal, known, P, found):  # type: ignore[no-untyped-def]
+    """Filter columns (N, k) over the samples that are not known; `found` takes the rows of the others."""
+    p, (N, columns) = a.size - 1, signal.shape
+    x, g, at = np.zeros((p, columns)), np.zeros(p), 0  # the last values, the newest first
+    for k in range(N):
+        # prediction y = -a'x, its variance s = a'Pa + 1 and covariance with the last values g = -Pa
+        s = 1.0
+        for i in range(p):
+            g[i] = 0.0
+            for j in range(p):
+                g[i] -= P[i, j] * a[j + 1]
+            s -= a[i + 1] * g[i]
+        for c in range(columns):
+            y = 0.0
+            for i in range(p):
+                y -= a[i + 1] * x[i, c]
+            if known[k]:
+                e = signal[k, c] - y
+                found[at, c] = e / np.sqrt(s)
+                y = signal[k, c]
+                for i in range(p):
+                    x[i, c] += g[i] * e / s
+            for i in range(p - 1, 0, -1):
+                x[i, c] = x[i - 1, c]
+            x[0, c] = y
+        # covariance: reduced by what a sample tells, then moved on by one
+        for i in range(p - 1, -1, -1):
+            for j in range(p - 1, -1, -1):
+                if known[k]:
+                    P[i, j] -= g[i] * g[j] / s
+                if i + 1 < p and j + 1 < p:
+                    P[i + 1, j + 1] = P[i, j]
+        P[0, 0] = 0.0 if known[k] else s
+        for i in range(1, p):
+            P[0, i] = P[i, 0] = 0.0 if known[k] else g[i - 1]
+        at += known[k]
 
 
 def huber_weights(residual: Array, outputs: NDArray[np.intp]) -> Array | None:
@@ -189,7 +299,7 @@ def autoregression(
     Parameters
     ----------
     signal : ndarray, shape (N,)
-        Signal; its mean is taken out, but for one with `unsure`.
+        Signal; its mean is taken out, but for one with `unsure`. Samples that are NaN were not measured.
     order : int, optional
         Given rather than chosen, where likelihoods of several signals are compared.
     known : ndarray of bool, shape (N,), optional
@@ -223,9 +333,12 @@ def autoregression(
     >>> print(a.round(1), round(variance, 1))
     [ 1.  -0.8] 1.0
     """
-    whole = np.ones(signal.size, dtype=bool) if known is None else known
+    whole = ~np.isnan(signal) if known is None else known
     r = signal - (signal[whole].mean() if whole.any() and unsure is None else 0.0)
     longest = highest_order(int(whole.sum()))
+    # over gaps only samples with a whole past count: fewer, the longer the past
+    while known is None and longest and highest_order(int(_complete(whole, longest).sum())) < longest:
+        longest -= 1
     most = order if order is not None else longest if most is None else min(most, longest)
     n = r.size - most
     # sums of products of lagged samples, (order + 1, order + 1)
@@ -234,9 +347,11 @@ def autoregression(
         for column in () if unsure is None else unsure.T:
             products += _products(column, most)
     else:
-        complete = sliding_window_view(whole, most + 1).all(axis=1)
-        rows, n = sliding_window_view(r, most + 1)[complete, ::-1], int(complete.sum())
-        products = rows.T @ rows
+        complete = _complete(whole, most)
+        n, products = int(complete.sum()), np.zeros((most + 1, most + 1))
+        for column in (r, *(() if unsure is None else unsure.T)):
+            rows = sliding_window_view(column, most + 1)[complete, ::-1]
+            products += rows.T @ rows
     power = float(products[0, 0])
     if most == 0 or not 0.0 < power < np.inf:
         return np.eye(1, 1 + (order or 0))[0], power / max(n, 1)
@@ -250,9 +365,16 @@ def autoregression(
     rest = np.maximum(power - np.concatenate([[0.0], np.cumsum(along**2)]), 1e-14 * power)
     # information criterion: log-likelihood and price of the coefficients
     best = int(np.argmin(n * np.log(rest) + price * np.arange(rest.size))) if order is None else order
+    if order is None and n < np.count_nonzero(whole) - most:  # more samples have the past of this order
+        return autoregression(signal, order=best, known=known, unsure=unsure)
     # coefficients of the chosen order
     past = dtrtrs(lower[:best, :best], along[:best], lower=True, trans=True)[0] if best else along[:0]
     return np.concatenate([[1.0], -past]), float(rest[best]) / n
+
+
+def _complete(whole: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
+    """Return which samples from `order` on are known with all of their past."""
+    return np.asarray(sliding_window_view(whole, order + 1).all(axis=1))
 
 
 def _products(r: Array, most: int) -> Array:
