@@ -185,7 +185,7 @@ class _Judge:
         # noise levels and color of the record at hand, taken over to the new one
         self.levels = 1.0 / fitted.problem.weights
         self.whitener = fitted.problem.whitener(fitted.residuals(ratio))
-        self.before = sum(record.outputs.size for record in records)
+        self.before = sum(np.count_nonzero(~np.isnan(record.outputs)) for record in records)
         self.best: Refinement = contenders[0].refinement
         self.seen = self._largest(records)
 

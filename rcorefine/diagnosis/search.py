@@ -150,7 +150,8 @@ class Search:
             added = sum(e.spec.inner_states for e in stores if e.spec.linear)
             judged = self.driven and added and trial.is_linear and not trial.hypothesis.ratio
             order = trial.problem.structure.n_states - added
-            self._spare[trial] = bool(judged and order and self._box_suffices(trial, order))
+            whole = all(record.there is None for record in trial.problem.records)  # a black box needs that
+            self._spare[trial] = bool(judged and order and whole and self._box_suffices(trial, order))
         return self._spare[trial]
 
     def _box_suffices(self, trial: Trial, order: int) -> bool:

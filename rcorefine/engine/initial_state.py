@@ -61,7 +61,8 @@ def brief_modes(engine: Engine) -> Array:
             for g in (np.zeros_like(gain), gain)
         )
         left = over_time(np.std, data.outputs - free.outputs)
-    if not np.all(left < _TELLS * over_time(np.std, data.outputs)):  # the plant has other modes than such a model
+    # the plant has other modes than such a model
+    if not np.all(left < _TELLS * over_time(np.std, data.outputs)):
         return none
     sound = [run.states for run in (free, corrected) if np.isfinite(run.states).all()]
     sizes = np.max([np.abs(states).max(axis=1) for states in sound], axis=0)

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import lfilter
 
-from ..systems.linear import Array
 from ..data.signals import over_time
-from .whitening import RESOLUTION, autoregression, innovations, over_gaps, readings, stable_model
+from ..systems.linear import Array
+from .whitening import RESOLUTION, autoregression, readings, stable_model, white_part
 
 _UNSEEN = 1e-7  # singular value of the Jacobian with unit columns below which a direction is not determined
 _AWAY = 2.0  # increase of the power of a residual that only an error of the model explains
@@ -238,7 +238,9 @@ def _noise_models(
         # expectation: change of the unknowns, and the residual that it leaves
         shift, roots = _shift_unknowns(noisy, residuals, jacobians, precision, at)
         moved = [[J @ shift[own] for J in rows] for rows, own in zip(jacobians, at, strict=True)]
-        left = [row - np.concatenate(change) for row, change in zip(joined, zip(*moved, strict=True), strict=True)]
+        left = [
+            row - np.concatenate(change) for row, change in zip(joined, zip(*moved, strict=True), strict=True)
+        ]
         if any(np.nansum(left[i] ** 2) > _AWAY * np.nansum(joined[i] ** 2) for i in noisy):
             break
         # maximization: the noise model of each output
@@ -268,8 +270,7 @@ def _shift_unknowns(
     for i, (a, variance) in models.items():
         for r, J, own in zip(residuals, jacobians, at, strict=True):
             # whiten residual and Jacobian by A(z) of the output
-            gaps = np.isnan(r[i]).any()
-            left, white = (over_gaps(a, x[i]) if gaps else innovations(a, x[i])[a.size - 1 :] for x in (r, J))
+            left, white = (white_part(a, x[i]) for x in (r, J))
             normal[np.ix_(own, own)] += white.T @ white / variance
             slope[own] += white.T @ left / variance
     inverse, _, _ = pseudo_inverse(normal)

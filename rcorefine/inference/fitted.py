@@ -123,7 +123,9 @@ class FittedModel:
                 states = np.nan_to_num(run.states)
                 # the states are corrected, x + K (y - y_model): take the correction back
                 if gain is not None:
-                    states = states + gain @ np.nan_to_num(self.residuals(ratio)[i] / self.problem.weights[:, None])
+                    states = states + gain @ np.nan_to_num(
+                        self.residuals(ratio)[i] / self.problem.weights[:, None]
+                    )
                 found.append(states)
             self._states[ratio] = found
         return self._states[ratio]

@@ -117,12 +117,11 @@ class Whitener:
             )
         return white
 
-    def log_likelihood(self, n_samples: int) -> float:
-        """Return the log-likelihood of the fitted residual, up to a constant.
-
-        `n_samples` is the number of its samples.
-        """
-        return -n_samples * float(np.sum(np.log(self.scales)))
+    def log_likelihood(self, residuals: Sequence[Array]) -> float:
+        """Return the log-likelihood of the fitted residuals (n_y, N), up to a constant."""
+        joined = np.concatenate(residuals, axis=1)
+        measured = np.mean(~np.isnan(joined), axis=1)  # share of the samples
+        return -joined.shape[1] * float(np.sum(measured * np.log(self.scales)))
 
     def outputs(self, blocks: Sequence[Array]) -> NDArray[np.intp]:
         """Output that each row of `apply` belongs to."""
@@ -149,6 +148,11 @@ def readings(residuals: Sequence[Array]) -> tuple[list[Array], tuple[int, ...] |
         pieces = [row[p[0] : p[-1] + 1 : steps[-1]] for row, p in zip(every, at, strict=True) if p.size]
         rows.append(np.concatenate([joined[0, :0], *pieces]))
     return rows, tuple(steps)
+
+
+def white_part(a: Array, signal: Array) -> Array:
+    """Return the innovations of a signal from the first sample with a past, those over its gaps too."""
+    return over_gaps(a, signal) if np.isnan(signal).any() else innovations(a, signal)[a.size - 1 :]
 
 
 _UNKNOWN = 1e8  # variance of the values before the first sample, over that of the innovations
