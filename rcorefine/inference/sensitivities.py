@@ -314,6 +314,10 @@ def force_responses(
     where = [names.index(name) for name, _ in forces]
     drives, F = (G0[:, where], G1[:, where]), np.array([force for _, force in forces]).T  # (N, k)
     # responses from rest, in units of the noise
-    out = linear_responses(Phi, drives, C0, through[:, where], F, gain=gain)
+    use = None if data.there is None else data.there.T
+    out = linear_responses(Phi, drives, C0, through[:, where], F, gain=gain, use=use)
     with np.errstate(over="ignore"):  # a unit of a coefficient may have an enormous effect
-        return np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])
+        found = np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])
+    if use is not None:  # NaN stands for what was not measured, not for a response without bounds
+        found[np.isnan(found)] = np.inf
+    return found
