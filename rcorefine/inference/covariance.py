@@ -198,6 +198,7 @@ def colored(
         per output sees it.
     """
     normal, middle = np.diag(precision.astype(float)), np.diag(precision.astype(float))
+    residuals, jacobians = _readings(residuals, jacobians)
     at = [np.arange(precision.size)] * len(jacobians) if columns is None else columns
     for i, (a, variance) in enumerate(_noise_models(residuals, jacobians, precision, order, at)):
         a, variance = stable_model(a, variance)
@@ -296,8 +297,6 @@ def parameter_uncertainty(
     """
     joined = np.concatenate(residuals, axis=1)
     count = np.count_nonzero(~np.isnan(joined))
-    # readings of slow sensors without what lies between them
-    residuals, jacobians = _readings(residuals, jacobians)
     normal, middle = colored(residuals, jacobians, precision, order, columns)
     _, lost, condition = pseudo_inverse(normal)
     # standard deviation with the degrees of freedom of the fit

@@ -87,7 +87,7 @@ _FIGURES = ("name", "unit", "fit", "rmse", "bias")
 
 def _models(result: Comparison) -> list[dict[str, Any]]:
     """Return each model with its outputs and failures."""
-    bias = (result.data.outputs - result.runs).mean(axis=2)
+    bias = np.nanmean(result.data.outputs - result.runs, axis=2)
     figures = zip(np.atleast_2d(result.fit), np.atleast_2d(result.rmse), bias, strict=True)
     labels, units = result.data.output_labels, result.data.output_units
     models = []
