@@ -13,6 +13,7 @@ from ..arguments import as_choice
 from ..comparison.model_error import horizon_error
 from ..comparison.result import KINDS, Comparison
 from ..comparison.signals import Decay, correlogram, decay_of
+from ..data.signals import check_whole
 from ..exceptions import DataError
 from ..results import counted
 from ..systems.linear import Array
@@ -28,6 +29,7 @@ def plot_decay(result: Comparison, frame: Frame) -> ct.ControlPlot:
     See `Comparison.plot`.
     """
     data, names = result.data, frame.labels(result.names)
+    check_whole(data, "plot('decay')")
     with frame.axes([2.2, 2.2] * data.n_outputs, 2) as (axes, lines):
         for i in range(data.n_outputs):
             measured = decay_of(data.outputs[i], data.dt, float(data.timepts[0]))
@@ -210,6 +212,7 @@ def plot_residual(result: Comparison, frame: Frame) -> ct.ControlPlot:
     See `Comparison.plot`.
     """
     data = result.data
+    check_whole(data, "plot('residual')")
     names = frame.labels(result.names)
     residual = data.outputs[None] - result.runs
     lags = min(_LAGS, data.n_samples // 4)

@@ -440,6 +440,8 @@ def _comparison_answer(result: Comparison) -> tuple[list[str], bool]:
             f"The typical one-step prediction error is {sizes}.",
             "This does not show that an unstable model is adequate; use diagnose to test it.",
         ], True
+    if data.there is not None:
+        return [first, f"The typical error is {sizes}.", f"{found.notes[0]}."], False
     if not found:
         return [
             first,
