@@ -3,6 +3,7 @@
 import json
 from functools import cache
 
+import control as ct
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -139,15 +140,16 @@ def test_innovations_over_gaps_are_those_of_the_exact_covariance(share):
 def test_whitener_over_random_gaps_and_of_a_slow_sensor():
     e = np.random.default_rng(0).standard_normal(6000)
     x = lfilter([1.0], [1, -1.5, 0.8], e)
-    for kind, step, size in (("random", 1, 0.1), ("slow", 10, 0.1)):
-        row = x.copy()
-        row[gaps(kind, (2, x.size))[0]] = np.nan
-        whitener = Whitener.fit([row[None], row[None]])
-        white = whitener.apply([row[None], row[None]])
+    for kind, step in (("random", 1), ("slow", 10)):
+        y = x.copy()
+        y[gaps(kind, (2, x.size))[0]] = np.nan
+        blocks = [y[None, :2500], y[None, 2500:]]
+        whitener = Whitener.fit(blocks)
+        white = whitener.apply(blocks)
         assert whitener.steps == (step,)
-        assert white.size == whitener.outputs([row[None]] * 2).size
-        assert abs(white.std() - 1) < size
-        assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 4 / np.sqrt(white.size / 2)
+        assert white.size == whitener.outputs(blocks).size == np.isfinite(y).sum() - 2 * whitener.orders[0]
+        assert abs(white.std() - 1) < 0.01
+        assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 3 / np.sqrt(white.size)
 
 
 # ---------------------------------------------------------------- refine, compare
@@ -178,10 +180,8 @@ def test_slow_sensor_agrees_with_an_independent_fit_of_the_samples_there():
     std = np.sqrt(np.linalg.inv(alone.jac.T @ alone.jac)[0, 0])
     effects = [rco.Effect("stiffness", "link1")]
     row = rco.refine(chain(), data, effects, x0="zero", noise=sigma).parameters[0]
-    offsets = rco.refine(chain(), data, effects, x0="zero").parameters
     assert_allclose(row.value, alone.x[0], rtol=1e-6)
     assert_allclose(row.std, std, rtol=0.1)
-    assert_allclose([q.value for q in offsets[1:]], alone.x[1:], atol=1e-2 * sigma.max())
 
 
 def test_standard_deviation_grows_as_samples_are_lost():
@@ -208,7 +208,7 @@ def test_compare_counts_the_samples_that_are_there():
 
 def test_initial_state_of_a_discrete_model_too():
     data = record("mixed", noise=0.0)
-    found = rco.compare(chain(FOUND).to_statespace().sample(DT), data)
+    found = rco.compare(ct.sample_system(chain(FOUND).system, DT), data)
     assert found.fit.min() > 99.99
 
 
@@ -218,7 +218,8 @@ def test_interpolated_gaps_are_worse_than_gaps_left_out():
     at = np.arange(data.n_samples)
     seen = data.there[0]
     filled = np.vstack([np.interp(at, at[seen], data.outputs[0, seen]), data.outputs[1]])
-    wrong = refined(rco.Measurement(data.inputs, filled, dt=DT)).parameters[0].value
+    with pytest.warns(rco.IdentifiabilityWarning):
+        wrong = refined(rco.Measurement(data.inputs, filled, dt=DT)).parameters[0].value
     right = refined(data).parameters[0].value
     assert abs(right - FOUND) < 0.01 < abs(wrong - FOUND)
 

@@ -373,7 +373,11 @@ def autoregression(
         return autoregression(signal, order=best, known=known, unsure=unsure)
     # coefficients of the chosen order
     past = dtrtrs(lower[:best, :best], along[:best], lower=True, trans=True)[0] if best else along[:0]
-    return np.concatenate([[1.0], -past]), float(rest[best]) / n
+    a, variance = np.concatenate([[1.0], -past]), float(rest[best]) / n
+    if known is None and not whole.all():  # the innovations over the gaps count, too
+        white = over_gaps(a, r[:, None] if unsure is None else np.column_stack([r, unsure]))
+        variance = float(np.sum(white**2)) / len(white)
+    return a, variance
 
 
 def _complete(whole: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
