@@ -287,9 +287,9 @@ def test_check_and_localize_damage_say_right_numbers():
 @pytest.mark.slow
 def test_diagnose_names_hidden_friction():
     found = rco.diagnose(chain(), record("mixed", effect="friction"))
-    row = found.parameters[0]
+    row = found.ranking[0]
     assert (found.verdict, found.effects[0].label) == ("effect", "coulomb_friction at link1")
-    assert abs(row.value - 0.5) < 3 * row.std
+    assert abs(row.coefficients["force"] - 0.5) < 3 * row.std["force"]
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ Every error message names the problem, its position and the remedy.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -129,6 +129,11 @@ def over_time(figure: Callable[..., Any], signals: Array) -> Array:
     return np.array([figure(row, axis=0) if row.size else np.nan for row in rows])
 
 
+def measured(blocks: Iterable[Iterable[Any]]) -> int:
+    """Return the number of samples that were measured."""
+    return sum(int(np.count_nonzero(~np.isnan(row))) for block in blocks for row in block)
+
+
 def difference(simulated: Array, measured: Array) -> Array:
     """Return simulated minus measured outputs, zero where none were measured."""
     error = simulated - measured
@@ -137,7 +142,7 @@ def difference(simulated: Array, measured: Array) -> Array:
 
 
 def check_whole(data: Any, purpose: str) -> None:
-    """Refuse a record with gaps, naming the first one, where all samples are needed."""
+    """Refuse a record with gaps, and name the first one."""
     if data.there is None:
         return
     row, sample = (int(first[0]) for first in np.nonzero(~data.there))

@@ -122,7 +122,7 @@ class Engine:
         far = _FAR if structure.field is None else _FAR_OF_FIELD
         self._far = np.where(self._largest > 0, far * self._largest, np.inf)
         self._nowhere = np.zeros(self._measured.shape, dtype=np.uint8)
-        self._there = None if data.there is None else data.there.T
+        self._there = ~np.isnan(self._measured)
 
     def run(
         self,
@@ -175,11 +175,9 @@ class Engine:
         if not sensitivity:
             drive = drive.held
         lead = self.lead if gain is None else gain
-        if use is None and lead is not None:  # nothing corrects where nothing was measured
-            use = self._there
         observer, loop = self._corrections(lead, use), commands(s, theta, self._signal, lead)
         # linear model: initial states act by superposition, so their derivatives are computed separately
-        apart = initial_state and use is None and self._lawless
+        apart = initial_state and use is None and self._lawless and (lead is None or self._there.all())
         S = start_columns(s, p + n) if initial_state and not apart else np.zeros((p, n))
         kept = N * histories
         into = MarchResult(
@@ -245,7 +243,8 @@ class Engine:
         if gain is None:
             none = np.zeros((self.structure.n_states, shape[1]))
             return Corrections(self._measured, self._nowhere, none, self._resets)
-        flags = np.ones(shape, dtype=np.uint8) if use is None else use.astype(np.uint8)
+        # nothing corrects where nothing was measured
+        flags = (self._there if use is None else use).astype(np.uint8)
         flags *= np.uint8(2 if closes_loop(self.structure, gain) else 1)
         return Corrections(self._measured, flags, np.ascontiguousarray(gain, dtype=float), self._resets)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import lfilter
 
-from ..data.signals import over_time
+from ..data.signals import measured, over_time
 from ..systems.linear import Array
 from .whitening import RESOLUTION, autoregression, readings, stable_model, white_part
 
@@ -225,7 +225,7 @@ def _noise_models(
     data (Laird and Ware, Biometrics 38 (1982) 963). The orders are those of the residuals.
     """
     joined = [np.concatenate(rows) for rows in zip(*residuals, strict=True)]
-    count = sum(np.count_nonzero(~np.isnan(row)) for row in joined)
+    count = measured(residuals)
     # degrees of freedom that the fit has used
     correction = count / max(count - precision.size, 1)
     models = [autoregression(row, order=order) for row in joined]
@@ -238,11 +238,9 @@ def _noise_models(
     for _ in range(_ROUNDS if noisy else 0):
         # expectation: change of the unknowns, and the residual that it leaves
         shift, roots = _shift_unknowns(noisy, residuals, jacobians, precision, at)
-        moved = [[J @ shift[own] for J in rows] for rows, own in zip(jacobians, at, strict=True)]
-        left = [
-            row - np.concatenate(change) for row, change in zip(joined, zip(*moved, strict=True), strict=True)
-        ]
-        if any(np.nansum(left[i] ** 2) > _AWAY * np.nansum(joined[i] ** 2) for i in noisy):
+        moved = [[J[i] @ shift[own] for J, own in zip(jacobians, at, strict=True)] for i in noisy]
+        left = {i: joined[i] - np.concatenate(rows) for i, rows in zip(noisy, moved, strict=True)}
+        if any(np.nansum(row**2) > _AWAY * np.nansum(joined[i] ** 2) for i, row in left.items()):
             break
         # maximization: the noise model of each output
         before, change = dict(noisy), 0.0
@@ -295,8 +293,7 @@ def parameter_uncertainty(
     The residual may be colored. If it is white, this is the Cramer-Rao bound ``sigma^2 (J'J)^-1``.
     The parameters are those of `colored`.
     """
-    joined = np.concatenate(residuals, axis=1)
-    count = np.count_nonzero(~np.isnan(joined))
+    joined, count = np.concatenate(residuals, axis=1), measured(residuals)
     normal, middle = colored(residuals, jacobians, precision, order, columns)
     _, lost, condition = pseudo_inverse(normal)
     # standard deviation with the degrees of freedom of the fit

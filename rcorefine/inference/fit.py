@@ -12,7 +12,7 @@ import control as ct
 import numpy as np
 
 from ..data.measurement import Measurement
-from ..data.signals import over_time
+from ..data.signals import measured, over_time
 from ..engine.structure import Structure
 from ..exceptions import DataError
 from ..systems.linear import Array
@@ -46,7 +46,7 @@ class Fit:
         self.steps = 1
         self.problem: Problem
         self.result: Descent
-        values = sum(np.count_nonzero(~np.isnan(record.outputs)) for record in segments)
+        values = measured(record.outputs for record in segments)
         unknowns = structure.n_parameters + structure.n_states * len(segments)
         if values <= unknowns:
             raise DataError(

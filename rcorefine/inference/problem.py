@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord
-from ..data.signals import spreads
+from ..data.signals import measured, spreads
 from ..engine.amplitude_response import engine_on, is_linear
 from ..engine.initial_state import added_states, brief_modes
 from ..engine.structure import Structure
@@ -170,7 +170,7 @@ class Problem:
         self.n_theta, self.n_states = p, structure.n_states
         self.free_start = initial is None
         self._cache: tuple[Array, Array | None, Evaluation] | None = None
-        self.n_points = sum(np.count_nonzero(~np.isnan(record.outputs)) for record in self.records)
+        self.n_points = measured(record.outputs for record in self.records)
 
     def like(
         self, structure: Structure | None = None, records: Sequence[Any] | None = None, **changes: Any

@@ -294,8 +294,6 @@ def force_responses(
     A, C0 = fitted.linearized()
     linear = structure.linear_model
     n, n0 = structure.n_states, linear.n_states
-    if not forces:  # a model without places
-        return np.zeros((structure.n_outputs, data.n_samples, 0))
     names = list(dict.fromkeys(name for name, _ in forces))
     places = {port.name for port in structure.model.ports}
     # a force at a place, or a signal added to an input
@@ -314,10 +312,11 @@ def force_responses(
     where = [names.index(name) for name, _ in forces]
     drives, F = (G0[:, where], G1[:, where]), np.array([force for _, force in forces]).T  # (N, k)
     # responses from rest, in units of the noise
-    use = None if data.there is None else data.there.T
+    there = ~np.isnan(data.outputs.T)
+    use = None if gain is None else there
     out = linear_responses(Phi, drives, C0, through[:, where], F, gain=gain, use=use)
     with np.errstate(over="ignore"):  # a unit of a coefficient may have an enormous effect
         found = np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])
-    if use is not None:  # NaN stands for what was not measured, not for a response without bounds
+    if not there.all():  # NaN stands for what was not measured, not for a response without bounds
         found[np.isnan(found)] = np.inf
     return found

@@ -200,40 +200,21 @@ def over_gaps(a: Array, signal: Array, step: int = 1) -> Array:
 @compiled
 def _bridge(a, signal, known, P, found):  # type: ignore[no-untyped-def]
     """Filter columns (N, k) over the samples that are not known; `found` takes the rows of the others."""
-    p, (N, columns) = a.size - 1, signal.shape
-    x, g, at = np.zeros((p, columns)), np.zeros(p), 0  # the last values, the newest first
-    for k in range(N):
-        # prediction y = -a'x, its variance s = a'Pa + 1 and covariance with the last values g = -Pa
-        s = 1.0
-        for i in range(p):
-            g[i] = 0.0
-            for j in range(p):
-                g[i] -= P[i, j] * a[j + 1]
-            s -= a[i + 1] * g[i]
-        for c in range(columns):
-            y = 0.0
-            for i in range(p):
-                y -= a[i + 1] * x[i, c]
-            if known[k]:
-                e = signal[k, c] - y
-                found[at, c] = e / np.sqrt(s)
-                y = signal[k, c]
-                for i in range(p):
-                    x[i, c] += g[i] * e / s
-            for i in range(p - 1, 0, -1):
-                x[i, c] = x[i - 1, c]
-            x[0, c] = y
-        # covariance: reduced by what a sample tells, then moved on by one
-        for i in range(p - 1, -1, -1):
-            for j in range(p - 1, -1, -1):
-                if known[k]:
-                    P[i, j] -= g[i] * g[j] / s
-                if i + 1 < p and j + 1 < p:
-                    P[i + 1, j + 1] = P[i, j]
-        P[0, 0] = 0.0 if known[k] else s
-        for i in range(1, p):
-            P[0, i] = P[i, 0] = 0.0 if known[k] else g[i - 1]
-        at += known[k]
+    b, at = a[1:], 0
+    x = np.zeros((b.size, signal.shape[1]))  # the last values, the newest first
+    for k in range(len(signal)):
+        # prediction y = -b'x, its covariance with the last values g = -Pb, its variance s = b'Pb + 1
+        g, y = -(P @ b), -(b @ x)
+        s = 1.0 - b @ g
+        if known[k]:
+            e = signal[k] - y
+            found[at], at = e / np.sqrt(s), at + 1
+            x += np.outer(g, e / s)
+            P -= np.outer(g, g / s)
+            y, g, s = signal[k], 0.0 * g, 0.0
+        # on by one sample
+        x[1:], P[1:, 1:] = x[:-1].copy(), P[:-1, :-1].copy()
+        x[0], P[0, 0], P[0, 1:], P[1:, 0] = y, s, g[:-1], g[:-1]
 
 
 def huber_weights(residual: Array, outputs: NDArray[np.intp]) -> Array | None:
@@ -339,23 +320,17 @@ def autoregression(
     """
     whole = ~np.isnan(signal) if known is None else known
     r = signal - (signal[whole].mean() if whole.any() and unsure is None else 0.0)
-    longest = highest_order(int(whole.sum()))
-    # over gaps only samples with a whole past count: fewer, the longer the past
-    while known is None and longest and highest_order(int(_complete(whole, longest).sum())) < longest:
-        longest -= 1
+    longest = highest_order(int(whole.sum())) if known is not None or whole.all() else _longest(whole)
     most = order if order is not None else longest if most is None else min(most, longest)
     n = r.size - most
     # sums of products of lagged samples, (order + 1, order + 1)
+    every = [r] if unsure is None else [r, *unsure.T]
     if whole.all():
-        products = _products(r, most)
-        for column in () if unsure is None else unsure.T:
-            products += _products(column, most)
+        products = sum(_products(column, most) for column in every)
     else:
         complete = _complete(whole, most)
-        n, products = int(complete.sum()), np.zeros((most + 1, most + 1))
-        for column in (r, *(() if unsure is None else unsure.T)):
-            rows = sliding_window_view(column, most + 1)[complete, ::-1]
-            products += rows.T @ rows
+        rows, n = [sliding_window_view(column, most + 1)[complete] for column in every], int(complete.sum())
+        products = sum(row[:, ::-1].T @ row[:, ::-1] for row in rows)
     power = float(products[0, 0])
     if most == 0 or not 0.0 < power < np.inf:
         return np.eye(1, 1 + (order or 0))[0], power / max(n, 1)
@@ -375,9 +350,15 @@ def autoregression(
     past = dtrtrs(lower[:best, :best], along[:best], lower=True, trans=True)[0] if best else along[:0]
     a, variance = np.concatenate([[1.0], -past]), float(rest[best]) / n
     if known is None and not whole.all():  # the innovations over the gaps count, too
-        white = over_gaps(a, r[:, None] if unsure is None else np.column_stack([r, unsure]))
+        white = over_gaps(a, np.column_stack(every))
         variance = float(np.sum(white**2)) / len(white)
     return a, variance
+
+
+def _longest(whole: NDArray[np.bool_]) -> int:
+    """Return the largest order over gaps, where only samples with a whole past count."""
+    orders = range(highest_order(int(whole.sum())), 0, -1)
+    return next((p for p in orders if highest_order(int(_complete(whole, p).sum())) >= p), 0)
 
 
 def _complete(whole: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
