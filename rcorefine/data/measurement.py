@@ -166,7 +166,7 @@ class Measurement(Result, RecordReaders, TimeRecord):
     ) -> None:
         holds_out = as_choice(missing, "missing", ("raise", "hold-out")) == "hold-out"
         if holds_out and np.ma.isMaskedArray(outputs):
-            outputs = outputs.astype(float).filled(np.nan)
+            outputs = np.ma.filled(outputs.astype(float), np.nan)
         y = as_signals(outputs, "outputs")
         n_samples = y.shape[1]
         w = np.zeros((0, n_samples)) if inputs is _UNDRIVEN else as_signals(inputs, "inputs")
@@ -672,9 +672,8 @@ class Measurement(Result, RecordReaders, TimeRecord):
         fields = ("input_labels", "output_labels", "input_units", "output_units", "notes")
         both = {field: (*getattr(self, field), *getattr(other, field)) for field in fields}
         w, y = np.vstack([self.inputs, other.inputs]), np.vstack([self.outputs, other.outputs])
-        if other.missing != self.missing:
-            both["missing"] = "hold-out"
-        return self._changed(**both, inputs=w, outputs=y, origin=np.concatenate(origin))
+        missing = max(self.missing, other.missing, key=("raise", "hold-out").index)
+        return self._changed(**both, missing=missing, inputs=w, outputs=y, origin=np.concatenate(origin))
 
     def decimate(self, factor: int) -> Self:
         """Every `factor`-th sample, behind a filter that keeps the model true.

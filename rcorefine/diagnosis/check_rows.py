@@ -178,8 +178,8 @@ def signal_rows(data: Measurement) -> Iterator[CheckRow]:
     if not still:
         moving = f"{len(inputs) + len(outputs)} signals move"
         yield CheckRow(OK, "motion", "", moving, "Every signal changes over the record.")
-    signals = zip((*data.input_labels, *data.output_labels), (*data.inputs, *data.outputs), strict=True)
-    yield from _repeated([(label, row) for label, row in signals if label not in still])
+    every = zip((*data.input_labels, *data.output_labels), (*data.inputs, *data.outputs), strict=True)
+    yield from _repeated([(label, row) for label, row in every if label not in still])
     for signals, rows in ((outputs, _output_rows), (inputs, _input_rows)):
         for label, row in signals:
             if label not in still:

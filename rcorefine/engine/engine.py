@@ -123,6 +123,7 @@ class Engine:
         self._far = np.where(self._largest > 0, far * self._largest, np.inf)
         self._nowhere = np.zeros(self._measured.shape, dtype=np.uint8)
         self._there = ~np.isnan(self._measured)
+        self._apart = self._lawless and bool(self._there.all())
 
     def run(
         self,
@@ -177,7 +178,7 @@ class Engine:
         lead = self.lead if gain is None else gain
         observer, loop = self._corrections(lead, use), commands(s, theta, self._signal, lead)
         # linear model: initial states act by superposition, so their derivatives are computed separately
-        apart = initial_state and use is None and self._lawless and (lead is None or self._there.all())
+        apart = initial_state and use is None and self._apart
         S = start_columns(s, p + n) if initial_state and not apart else np.zeros((p, n))
         kept = N * histories
         into = MarchResult(

@@ -382,7 +382,7 @@ def linear_responses(
             added, direct = falling * F[:-1] + rising * F[1:], through * F
             start, nothing = np.zeros((n, F.shape[1])), np.zeros((len(C), b - a, 1))
             stretches = [(slice(0, b - a), K)]
-            if use is not None:
+            if use is not None and gain is not None:
                 stretches = Corrections(F, use[a:b].astype(np.uint8), K, Phi).stretches
             states, _ = _filter(Phi, C, stretches, start, added, direct, nothing)
             out[a:b, :, group] = (_times(C, states) + direct).transpose(1, 0, 2)

@@ -224,8 +224,7 @@ def _noise_models(
     Restricted maximum likelihood allows for that, by expectation maximization with the unknowns as missing
     data (Laird and Ware, Biometrics 38 (1982) 963). The orders are those of the residuals.
     """
-    joined = [np.concatenate(rows) for rows in zip(*residuals, strict=True)]
-    count = measured(residuals)
+    joined, count = list(map(np.concatenate, zip(*residuals, strict=True))), measured(residuals)
     # degrees of freedom that the fit has used
     correction = count / max(count - precision.size, 1)
     models = [autoregression(row, order=order) for row in joined]
@@ -238,8 +237,7 @@ def _noise_models(
     for _ in range(_ROUNDS if noisy else 0):
         # expectation: change of the unknowns, and the residual that it leaves
         shift, roots = _shift_unknowns(noisy, residuals, jacobians, precision, at)
-        moved = [[J[i] @ shift[own] for J, own in zip(jacobians, at, strict=True)] for i in noisy]
-        left = {i: joined[i] - np.concatenate(rows) for i, rows in zip(noisy, moved, strict=True)}
+        left = {i: joined[i] - _moved(i, jacobians, shift, at) for i in noisy}
         if any(np.nansum(row**2) > _AWAY * np.nansum(joined[i] ** 2) for i, row in left.items()):
             break
         # maximization: the noise model of each output
@@ -251,6 +249,11 @@ def _noise_models(
         if change * np.sqrt(max(map(len, joined))) < _ALIKE:
             break
     return [noisy.get(i, model) for i, model in enumerate(models)]
+
+
+def _moved(output: int, jacobians: Sequence[Any], shift: Array, at: Sequence[Any]) -> Array:
+    """Return how a change of the unknowns changes the residual of an output."""
+    return np.concatenate([J[output] @ shift[own] for J, own in zip(jacobians, at, strict=True)])
 
 
 def _shift_unknowns(
@@ -302,7 +305,7 @@ def parameter_uncertainty(
 
 
 def _readings(residuals: Sequence[Any], jacobians: Sequence[Any]) -> tuple[Sequence[Any], Sequence[Any]]:
-    """Return residuals and Jacobians without what lies between the readings of slow sensors."""
+    """Return residuals and Jacobians at the readings of slow sensors."""
     _, steps = readings(residuals)
     if steps is None:
         return residuals, jacobians

@@ -313,10 +313,9 @@ def force_responses(
     drives, F = (G0[:, where], G1[:, where]), np.array([force for _, force in forces]).T  # (N, k)
     # responses from rest, in units of the noise
     there = ~np.isnan(data.outputs.T)
-    use = None if gain is None else there
-    out = linear_responses(Phi, drives, C0, through[:, where], F, gain=gain, use=use)
+    out = linear_responses(Phi, drives, C0, through[:, where], F, gain=gain, use=there)
     with np.errstate(over="ignore"):  # a unit of a coefficient may have an enormous effect
         found = np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])
-    if not there.all():  # NaN stands for what was not measured, not for a response without bounds
-        found[np.isnan(found)] = np.inf
+    # where there are gaps NaN stands for these, not for a response without bounds
+    found[np.isnan(found) & ~there.all()] = np.inf
     return found

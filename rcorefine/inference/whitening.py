@@ -94,7 +94,7 @@ class Whitener:
         """
         a = self.filters[i]
         if self.steps is not None:
-            return over_gaps(a, signal, self.steps[i]) / self.scales[i]
+            return np.asarray(over_gaps(a, signal, self.steps[i]) / self.scales[i])
         with np.errstate(over="ignore"):  # columns of coefficients with a large unit may overflow
             return np.asarray(innovations(a, signal)[a.size - 1 :] / self.scales[i])
 
@@ -151,7 +151,7 @@ def readings(residuals: Sequence[Array]) -> tuple[list[Array], tuple[int, ...] |
 
 
 def white_part(a: Array, signal: Array) -> Array:
-    """Return the innovations of a signal from the first sample with a past, those over its gaps too."""
+    """Return the innovations of a signal with a past, over gaps too."""
     return over_gaps(a, signal) if np.isnan(signal).any() else innovations(a, signal)[a.size - 1 :]
 
 
@@ -159,7 +159,7 @@ _UNKNOWN = 1e8  # variance of the values before the first sample, over that of t
 
 
 def over_gaps(a: Array, signal: Array, step: int = 1) -> Array:
-    """Return the innovations of a signal, of those of its samples that are not NaN.
+    """Return the innovations of the samples that are not NaN.
 
     Each is that of the Kalman filter whose states are the last values (Jones, Technometrics 22 (1980) 389),
     over its standard deviation in units of the filter's.
@@ -193,13 +193,13 @@ def over_gaps(a: Array, signal: Array, step: int = 1) -> Array:
     for first in np.unique(np.flatnonzero(known) % step):
         part = known[first::step]
         _bridge(a, columns[first::step], part, _UNKNOWN * np.eye(a.size - 1), found[at:])
-        at += np.count_nonzero(part)
+        at += int(np.count_nonzero(part))
     return np.asarray(found[a.size - 1 :].reshape(-1, *signal.shape[1:]))
 
 
 @compiled
 def _bridge(a, signal, known, P, found):  # type: ignore[no-untyped-def]
-    """Filter columns (N, k) over the samples that are not known; `found` takes the rows of the others."""
+    """Filter columns (N, k) over unknown samples, into the rows of `found`."""
     b, at = a[1:], 0
     x = np.zeros((b.size, signal.shape[1]))  # the last values, the newest first
     for k in range(len(signal)):
@@ -318,19 +318,13 @@ def autoregression(
     >>> print(a.round(1), round(variance, 1))
     [ 1.  -0.8] 1.0
     """
-    whole = ~np.isnan(signal) if known is None else known
+    if known is None and np.isnan(signal).any():
+        return _over_gaps(signal, order, price, most, unsure)
+    whole = np.ones(signal.size, dtype=bool) if known is None else known
     r = signal - (signal[whole].mean() if whole.any() and unsure is None else 0.0)
-    longest = highest_order(int(whole.sum())) if known is not None or whole.all() else _longest(whole)
+    longest = highest_order(int(whole.sum()))
     most = order if order is not None else longest if most is None else min(most, longest)
-    n = r.size - most
-    # sums of products of lagged samples, (order + 1, order + 1)
-    every = [r] if unsure is None else [r, *unsure.T]
-    if whole.all():
-        products = sum(_products(column, most) for column in every)
-    else:
-        complete = _complete(whole, most)
-        rows, n = [sliding_window_view(column, most + 1)[complete] for column in every], int(complete.sum())
-        products = sum(row[:, ::-1].T @ row[:, ::-1] for row in rows)
+    products, n = _sums(r, unsure, whole, most)
     power = float(products[0, 0])
     if most == 0 or not 0.0 < power < np.inf:
         return np.eye(1, 1 + (order or 0))[0], power / max(n, 1)
@@ -344,25 +338,44 @@ def autoregression(
     rest = np.maximum(power - np.concatenate([[0.0], np.cumsum(along**2)]), 1e-14 * power)
     # information criterion: log-likelihood and price of the coefficients
     best = int(np.argmin(n * np.log(rest) + price * np.arange(rest.size))) if order is None else order
-    if order is None and n < np.count_nonzero(whole) - most:  # more samples have the past of this order
-        return autoregression(signal, order=best, known=known, unsure=unsure)
     # coefficients of the chosen order
     past = dtrtrs(lower[:best, :best], along[:best], lower=True, trans=True)[0] if best else along[:0]
-    a, variance = np.concatenate([[1.0], -past]), float(rest[best]) / n
-    if known is None and not whole.all():  # the innovations over the gaps count, too
-        white = over_gaps(a, np.column_stack(every))
-        variance = float(np.sum(white**2)) / len(white)
-    return a, variance
+    return np.concatenate([[1.0], -past]), float(rest[best]) / n
 
 
-def _longest(whole: NDArray[np.bool_]) -> int:
-    """Return the largest order over gaps, where only samples with a whole past count."""
-    orders = range(highest_order(int(whole.sum())), 0, -1)
-    return next((p for p in orders if highest_order(int(_complete(whole, p).sum())) >= p), 0)
+def _over_gaps(
+    signal: Array, order: int | None, price: float, most: int | None, unsure: Array | None
+) -> tuple[Array, float]:
+    """Fit an autoregressive model to a signal with gaps, as `autoregression`."""
+    whole = ~np.isnan(signal)
+    if order is None:
+        # largest order for which enough samples have a whole past, then that of the criterion
+        orders = range(highest_order(int(whole.sum())), 0, -1)
+        longest = next((p for p in orders if highest_order(int(_complete(whole, p).sum())) >= p), 0)
+        most = longest if most is None else min(most, longest)
+        order = autoregression(signal, known=whole, price=price, most=most, unsure=unsure)[0].size - 1
+    a, _ = autoregression(signal, order=order, known=whole, unsure=unsure)
+    # the innovations over the gaps count for the variance, too
+    r = signal - (signal[whole].mean() if unsure is None and whole.any() else 0.0)
+    white = over_gaps(a, np.column_stack([r] if unsure is None else [r, unsure]))
+    return a, float(np.sum(white**2)) / max(len(white), 1)
+
+
+def _sums(r: Array, unsure: Array | None, whole: NDArray[np.bool_], most: int) -> tuple[Array, int]:
+    """Return the sums of products of lagged samples, and the number of samples in them.
+
+    The shape is (most + 1, most + 1).
+    """
+    every = [r] if unsure is None else [r, *unsure.T]
+    if whole.all():
+        return np.sum([_products(column, most) for column in every], axis=0), r.size - most
+    complete = _complete(whole, most)
+    rows = [sliding_window_view(column, most + 1)[complete, ::-1] for column in every]
+    return np.sum([row.T @ row for row in rows], axis=0), int(complete.sum())
 
 
 def _complete(whole: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
-    """Return which samples from `order` on are known with all of their past."""
+    """Return which samples are known with all of their past."""
     return np.asarray(sliding_window_view(whole, order + 1).all(axis=1))
 
 
