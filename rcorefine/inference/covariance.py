@@ -234,7 +234,7 @@ def _noise_models(
     # least variance of an output whose residual is not rounding
     least = RESOLUTION**2 * max(variance for _, variance in models)
     noisy = {i: model for i, model in enumerate(models) if model[1] > least}
-    for _ in range(_ROUNDS if noisy else 0):
+    for _ in range(_ROUNDS * bool(noisy)):
         # expectation: change of the unknowns, and the residual that it leaves
         shift, roots = _shift_unknowns(noisy, residuals, jacobians, precision, at)
         left = {i: joined[i] - _moved(i, jacobians, shift, at) for i in noisy}

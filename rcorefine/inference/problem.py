@@ -401,7 +401,10 @@ class Problem:
         return found
 
     def blocks(self, point: Array) -> list[tuple[Array, Array]]:
-        """Residual (n_y, N) and Jacobian (n_y, N, p) of each window, NaN where nothing was measured."""
+        """Residual (n_y, N) and Jacobian (n_y, N, p) of each window.
+
+        They are NaN where nothing was measured.
+        """
         residuals, jacobians, _ = zip(*self.own_blocks(point), strict=True)
         return list(zip(residuals, self.whole(jacobians), strict=True))
 

@@ -118,10 +118,10 @@ class Whitener:
         return white
 
     def log_likelihood(self, residuals: Sequence[Array]) -> float:
-        """Return the log-likelihood of the fitted residuals (n_y, N), up to a constant."""
+        """Return the log-likelihood of residuals (n_y, N), up to a constant."""
         joined = np.concatenate(residuals, axis=1)
         measured = np.mean(~np.isnan(joined), axis=1)  # share of the samples
-        return -joined.shape[1] * float(np.sum(measured * np.log(self.scales)))
+        return -len(joined[0]) * float(np.sum(measured * np.log(self.scales)))
 
     def outputs(self, blocks: Sequence[Array]) -> NDArray[np.intp]:
         """Output that each row of `apply` belongs to."""
@@ -362,7 +362,7 @@ def _over_gaps(
 
 
 def _sums(r: Array, unsure: Array | None, whole: NDArray[np.bool_], most: int) -> tuple[Array, int]:
-    """Return the sums of products of lagged samples, and the number of samples in them.
+    """Return the sums of products of lagged samples, and how many there are.
 
     The shape is (most + 1, most + 1).
     """
