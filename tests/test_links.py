@@ -148,6 +148,32 @@ class TestFound:
         assert "physical(system, links=...)" in model.port("x2").description
         assert "physical(system" not in model.port("x4").description
 
+    def test_rayleigh_damping_decides_no_direction(self):
+        """Its matrix has the principal axes of each joint, which are no bars."""
+        sys, g, k = truss(dampers=False)
+        masses, K = np.random.default_rng(1).uniform(0.8, 1.2, 4).repeat(2), assembled(g, k)
+        model = rco.physical(plain(masses, K, 0.2 * np.diag(masses) + 1e-3 * K, sys.state_labels[:8]))
+        links = [port for port in model.ports if np.count_nonzero(port.position) > 1]
+        assert len(links) == 12
+        for port in links:
+            is_bar = any(holds([port.position[:8]], bar) for bar in g)
+            assert is_bar or "physical(system, links=...)" in port.description
+
+    @pytest.mark.parametrize("bar", range(len(BARS)))
+    def test_a_change_of_any_bar_is_a_sum_of_places(self, bar):
+        """Also of an oblique bar to the ground whose direction stays open."""
+        sys, g, _ = truss(dampers=False)
+        model = rco.physical(sys)
+        change = np.outer(g[bar], g[bar]).ravel()
+        springs = {q.place for q in model.parameters if q.kind == "stiffness"}
+        rows = [port.position[:8] for port in model.ports if port.name in springs]
+        columns = np.array([np.outer(row, row).ravel() for row in rows]).T
+        found = np.linalg.lstsq(columns, change, rcond=None)[0]
+        np.testing.assert_allclose(columns @ found, change, atol=1e-9)
+        ends = {2 * (i // 2) + axis for i in np.flatnonzero(g[bar]) for axis in (0, 1)}
+        for row, size in zip(rows, found, strict=True):
+            assert abs(size) < 1e-9 or set(np.flatnonzero(row)) <= ends
+
     def test_heave_and_pitch_need_dampers_of_another_ratio(self):
         g = [[1, -1.2], [1, 1.5]]
         m = np.array([600.0, 800.0])

@@ -29,7 +29,7 @@ def find_links(found: Incidence) -> tuple[list[Element], dict[int, str]]:
 
     The second value describes, by their state, the displacements whose links stay open.
     """
-    q, _, scale = found.bodies
+    q, v, scale = found.bodies
     labels = [found.linear.state_labels[i] for i in q]
     K, C = _forces(found)
     # declared links as directions
@@ -40,15 +40,19 @@ def find_links(found: Incidence) -> tuple[list[Element], dict[int, str]]:
     }
     # directions of the links, then their springs and dampers
     alike = _same_units(labels, found.declared.units)
-    directions, open_ = _directions(K, C, alike, list(given.values()))
+    # damping of the modes (Rayleigh's): K M^-1 C is symmetric; it does not tell where the springs are
+    product = K @ found.masses.inverse[np.ix_(v, v)] @ C
+    tells = bool(np.linalg.norm(product - product.T) > _ROUNDING * np.linalg.norm(product))
+    directions, open_ = _directions(K, C, alike, list(given.values()), tells)
     springs, dampers = strengths(K, directions, open_), strengths(C, directions, open_)
+    words = "the couplings of {} to each other and to the ground are links in more than one way: "
+    words += "declare them by physical(system, links=...)"
+    said = {tuple(body): [words.format(", ".join(labels[j] for j in body))] for body in open_}
     links = []
     for g, k, c in zip(directions, springs, dampers, strict=True):
         name = next((name for name, own in given.items() if own is g), "")
-        links.append(_link(found, labels, name, g, k, c))
-    words = "the couplings of {} to each other and to the ground are links in more than one way: "
-    words += "declare them by physical(system, links=...)"
-    return links, {q[i]: words.format(", ".join(labels[j] for j in body)) for body in open_ for i in body}
+        links.append(_link(found, labels, name, g, k, c, said.get(tuple(np.flatnonzero(g)), [])))
+    return links, {q[i]: text for body, (text,) in said.items() for i in body}
 
 
 def _forces(found: Incidence) -> list[Array]:
@@ -72,10 +76,13 @@ def _forces(found: Incidence) -> list[Array]:
     return forces
 
 
-def _link(found: Incidence, labels: Sequence[str], name: str, g: Array, k: float, c: float) -> Element:
+def _link(
+    found: Incidence, labels: Sequence[str], name: str, g: Array, k: float, c: float, still: Sequence[str]
+) -> Element:
     """Return a link of this direction as a port with spring and damper.
 
-    It is in the unit of the displacement with weight one. Declared links have a name.
+    It is in the unit of the displacement with weight one. Declared links have a name; `still` says what
+    stays open.
     """
     masses, (q, v, scale) = found.masses, found.bodies
     size = float(scale[np.argmin(np.abs(np.abs(g / scale if name else g) - 1.0))])
@@ -92,7 +99,7 @@ def _link(found: Incidence, labels: Sequence[str], name: str, g: Array, k: float
     port = port_at(
         found.linear,
         name or what,
-        "; ".join([*words, *dict.fromkeys(masses.origin[v[i]] for i in ends)]),
+        "; ".join([*words, *dict.fromkeys(masses.origin[v[i]] for i in ends), *still]),
         masses.act({v[i]: g[i] for i in ends}),
         {v[i]: size * g[i] for i in ends},
         {q[i]: size * g[i] / scale[i] for i in ends},
@@ -100,22 +107,23 @@ def _link(found: Incidence, labels: Sequence[str], name: str, g: Array, k: float
     return Element(port, float(k) / size, float(c) / size)
 
 
-def _directions(K: Array, C: Array, alike: Mask, given: Sequence[Array]) -> Found:
+def _directions(K: Array, C: Array, alike: Mask, given: Sequence[Array], tells: bool) -> Found:
     """Return the directions of all links, and the bodies that stay open.
 
-    Links are declared, or found in the rest of stiffness and damping.
+    Links are declared, or found in the rest of stiffness and damping. `tells` is true where one of the
+    two decides what the other one leaves open.
     """
     # links in the stiffness matrix, then in what they leave of stiffness and of damping
-    found, open_ = factors(K, C, alike)
-    new = [g for g in given if not any(_parallel(g, other) for other in found)]
+    found, open_ = factors(K, tells * C, alike)
+    new = _others(given, found)
     # a declared link replaces links found between its ends
     found = [g for g in found if not any(set(np.flatnonzero(g)) <= set(np.flatnonzero(h)) for h in given)]
     # declared links come first
     found += given
     open_ = [body for body in open_ if not any(g[body].any() for g in new)]
     for X, Y, share in ((K, C, _UNEXPLAINED if new else 1.0), (C, K, _UNEXPLAINED)):
-        more, also = factors(_left_over(X, found, open_, share), Y, alike)
-        found += [g for g in more if not any(_parallel(g, other) for other in found)]
+        more, also = factors(_left_over(X, found, open_, share), tells * Y, alike)
+        found += _others(more, found)
         open_ = [*open_, *also]
     return sorted(found, key=lambda g: np.flatnonzero(g).tolist()), open_
 
@@ -125,16 +133,17 @@ def _left_over(X: Array, directions: Sequence[Array], bodies: Groups, share: flo
 
     Couplings of which no more than a share is left are explained.
     """
-    rest = X - _weighted_sum(strengths(X, directions, bodies), directions, X)
+    rest = _subtract(X, directions, bodies)
     rest[~np.eye(len(X), dtype=bool) & (np.abs(rest) <= share * np.abs(X))] = 0.0
     for body in bodies:
         rest[np.ix_(body, body)] *= np.eye(len(body))
     return rest
 
 
-def _weighted_sum(k: Array, directions: Sequence[Array], like: Array) -> Array:
-    """Sum of k g g' over the directions."""
-    return sum((one * np.outer(g, g) for one, g in zip(k, directions, strict=True)), np.zeros_like(like))
+def _subtract(X: Array, directions: Sequence[Array], bodies: Groups) -> Array:
+    """X minus the sum of k g g' over the directions."""
+    G = np.reshape(directions, (len(directions), len(X)))
+    return X - (G.T * strengths(X, directions, bodies)) @ G
 
 
 def _same_units(labels: Sequence[str], units: Mapping[str, str]) -> Mask:
@@ -193,7 +202,6 @@ def factors(K: Array, C: Array, alike: Mask) -> Found:
     .. [1] E. G. Boman, D. Chen, O. Parekh, S. Toledo, "On factor width and symmetric H-matrices",
        Linear Algebra and its Applications 405 (2005), 239-248.
     """
-    n = len(K)
     found: list[Array] = []
     open_: Groups = []
     # each coupled group of displacements by itself
@@ -201,15 +209,10 @@ def factors(K: Array, C: Array, alike: Mask) -> Found:
         if len(group) < 2:
             continue
         part = np.ix_(group, group)
-        lost: Groups = []
         # differences, or differences with ratios; last, bodies of several displacements
         own = _differences(K[part], alike[part]) or _ratios(K[part])
-        if not own:
-            own, lost = between_bodies(K[part], C[part], alike[part])
-        for g in own:
-            full = np.zeros(n)
-            full[group] = g
-            found.append(full)
+        own, lost = (own, []) if own else between_bodies(K[part], C[part], alike[part])
+        found += [np.eye(len(K))[:, group] @ g for g in own]
         open_ += [[group[i] for i in body] for body in lost]
     return found, open_
 
@@ -293,8 +296,9 @@ def strengths(K: Array, directions: Sequence[Array], bodies: Sequence[Sequence[i
     size = np.sqrt(np.abs(np.diag(K)))
     size[size == 0] = 1.0
     seen = ~np.eye(len(K), dtype=bool)
-    for body in bodies:
-        seen[np.ix_(body, body)] = False
+    ends = [np.flatnonzero(g).tolist() for g in directions]
+    for body in bodies:  # unless oblique springs stand for them
+        seen[np.ix_(body, body)] &= body in ends
     rows, columns = np.nonzero(np.triu(seen))
     weight = 1.0 / (size[rows] * size[columns])
     outer, target = (weight * G[:, rows] * G[:, columns]).T, weight * K[rows, columns]
@@ -319,12 +323,16 @@ def couplings(K: Array) -> Mask:
     return coupled
 
 
+def _round_off(g: Array) -> Array:
+    return np.where(np.abs(g) > _ROUNDING * np.abs(g).max(), g, 0.0)
+
+
 def unit(g: Array) -> Array:
     """Scale a direction so that one component has size one.
 
     That component has a size that occurs twice, if there is one. Otherwise it is the largest component.
     """
-    g = np.where(np.abs(g) > _ROUNDING * np.abs(g).max(), g, 0.0)
+    g = _round_off(g)
     size = np.abs(g)
     entries = np.flatnonzero(size > 1e-9 * size.max())
     # a size that occurs twice is the natural unit of the direction
@@ -339,23 +347,23 @@ def between_bodies(K: Array, C: Array, alike: Mask) -> Found:
     Of all groupings of the displacements into bodies, the one that needs the fewest links is used.
     """
     # the grouping with the fewest links; several of the same price must agree
-    best: list[tuple[int, list[Array], Groups]] = []
-    for groups in _groupings(K):
-        found = _link_bodies(K, C, groups, alike)
-        if found is not None and (not best or found[0] <= best[0][0]):
-            best = [found, *(old for old in best if old[0] == found[0])]
-    if not best or (len(best) > 1 and not all(_same(best[0][1], other[1]) for other in best[1:])):
+    found = [one for groups in _groupings(K) if (one := _link_bodies(K, C, groups, alike))]
+    price = min((one[0] for one in found), default=0)
+    best = [one[1:] for one in found if one[0] == price]
+    if not best or any(
+        len(links) != len(best[0][0]) or _others(links, best[0][0], _ROUNDING) for links, _ in best
+    ):
         return [], [list(range(len(K)))]
-    return best[0][1], best[0][2]
+    return best[0]
 
 
-def _same(one: Sequence[Array], two: Sequence[Array]) -> bool:
-    return len(one) == len(two) and all(any(_parallel(g, h, _ROUNDING) for h in two) for g in one)
-
-
-def _parallel(g: Array, h: Array, tolerance: float = 1e-6) -> bool:
-    """Return whether two directions are parallel."""
-    return bool(abs(g @ h) >= (1.0 - tolerance) * np.linalg.norm(g) * np.linalg.norm(h))
+def _others(directions: Sequence[Array], known: Sequence[Array], tolerance: float = 1e-6) -> list[Array]:
+    """Return the directions that are parallel to no known one."""
+    size = np.linalg.norm
+    return [
+        g for g in directions
+        if not any(abs(g @ h) >= (1.0 - tolerance) * size(g) * size(h) for h in known)
+    ]  # fmt: skip
 
 
 def _groupings(K: Array) -> Iterator[Groups]:
@@ -366,25 +374,22 @@ def _groupings(K: Array) -> Iterator[Groups]:
         return
     # few displacements: all partitions; many: bodies by proportional rows of K
     coupled = couplings(K)
-    joined = np.zeros((n, n), dtype=bool)
-    pairs = list(combinations(range(n), 2))
-    for a, b in pairs:
-        # a bar between nodes (a, b) and (c, d): four couplings, of rank one
-        both = np.flatnonzero(coupled[a] & coupled[b])
-        ratio = K[a, both] / K[b, both]
-        same = np.abs(1.0 - ratio[:, None] / ratio) <= _ROUNDING
-        np.fill_diagonal(same, False)
-        joined[np.ix_(both, both)] |= same
-        joined[a, b] |= same.any()
-        joined[b, a] |= same.any()
-    single = {group[0] for group in connected(joined) if len(group) == 1}
-    maybe = [(a, b) for a, b in pairs if a in single and b in single and coupled[a, b]][:_MOST_MERGED]
-    for count in range(len(maybe) + 1):
-        for chosen in combinations(maybe, count):
-            more = joined.copy()
-            for a, b in chosen:
-                more[a, b] = more[b, a] = True
-            yield connected(more)
+    pairs = [(a, b) for a, b in combinations(range(n), 2) if coupled[a, b]]
+    for tolerance in (_SMALL**0.5, _ROUNDING):  # of exact entries, no ratio is equal by chance
+        joined = np.zeros((n, n), dtype=bool)
+        for a, b in combinations(range(n), 2):
+            # a bar between nodes (a, b) and (c, d): four couplings, of rank one
+            both = np.flatnonzero(coupled[a] & coupled[b])
+            ratio = K[a, both] / K[b, both]
+            joined[np.ix_(both, both)] |= np.abs(1.0 - ratio[:, None] / ratio) <= tolerance
+        single = {group[0] for group in connected(joined) if len(group) == 1}
+        maybe = [(a, b) for a, b in pairs if {a, b} <= single][:_MOST_MERGED]
+        for count in range(len(maybe) + 1):
+            for chosen in combinations(maybe, count):
+                more = joined.copy()
+                for pair in chosen:
+                    more[pair] = True
+                yield connected(more)
 
 
 def _partitions(items: list[int]) -> Iterator[Groups]:
@@ -436,32 +441,32 @@ def _link_bodies(K: Array, C: Array, groups: Groups, alike: Mask) -> tuple[int, 
     share = None if ends is None else _shares(K, groups, ends, alike)
     if ends is None or share is None:
         return None
-    # subtract the links from the blocks of the bodies
-    links, left = [], [K[np.ix_(group, group)].copy() for group in groups]
+    # subtract the links: the blocks of the bodies are left
+    links, left = [], K.copy()
     for end, t in zip(ends, share, strict=True):
         g, (a, b) = np.zeros(len(K)), end[:2]
         g[groups[a]], g[groups[b]] = np.sqrt(t) * end.u, end.w / np.sqrt(t)
         links.append(_scale(g, groups[a], groups[b]))
-        for body in (a, b):
-            left[body] -= end.block(body, t)
+        left -= end.size * np.outer(g, g)
     price = len(links)
     open_: Groups = []
     # damping that these links do not explain
-    rest = C - _weighted_sum(strengths(C, links, groups), links, C)
-    for group, block in zip(groups, left, strict=True):
+    rest = _subtract(C, links, groups)
+    for group in groups:
         size, part = np.abs(K[group, group]).max(), np.ix_(group, group)
         # springs of each body to the ground
-        own = _ground_springs(block, rest[part], size, paired=len(K) > 2 or not alike[part].all())
+        own = _ground_springs(left[part], rest[part], size, paired=len(K) > 2 or not alike[part].all())
         if own is None:
             return None
         price += own[0]
         open_ += [group] if own[2] else []
-        for direction in own[1]:
-            g = np.zeros(len(K))
-            g[group] = direction
+        # a single body that stays open has no oblique springs
+        joint = len(groups) > 1 and alike[part].all()
+        for direction in own[1] if joint or not own[2] else []:
+            g = np.eye(len(K))[:, group] @ direction
             # a single displacement has a port of its own
-            if np.count_nonzero(np.abs(g) > _ROUNDING * np.abs(g).max()) > 1:
-                links.append(_scale(g, group, group) if len(groups) > 1 and alike[part].all() else unit(g))
+            if np.count_nonzero(_round_off(g)) > 1:
+                links.append(_scale(g, group, group) if joint else unit(g))
     return price, links, open_
 
 
@@ -470,7 +475,7 @@ def _scale(g: Array, one: Sequence[int], two: Sequence[int]) -> Array:
 
     A bar is an example. Otherwise the direction is scaled by `unit`.
     """
-    g = np.where(np.abs(g) > _ROUNDING * np.abs(g).max(), g, 0.0)
+    g = _round_off(g)
     length = float(np.linalg.norm(g[one]))
     if len(one) == len(two) and abs(np.linalg.norm(g[two]) / length - 1.0) < _ROUNDING:
         return np.asarray(g / length * np.sign(g[np.flatnonzero(g)[0]]))
@@ -548,5 +553,7 @@ def _ground_springs(K: Array, C: Array, size: float, *, paired: bool) -> tuple[i
         ratios, modes = np.linalg.eig(np.linalg.solve(K, C))
         if np.isreal(ratios).all() and np.ptp(ratios.real) > 0.05 * np.abs(ratios).max():
             return 2, list(np.linalg.inv(modes.real)), False
-    # several factorizations: high price, the directions stay open
-    return rank * (rank + 1) // 2 + 1, [], True
+    # several factorizations: high price, the directions stay open. At a joint, three equal springs 60 degrees
+    # apart where K is the identity span every change; a member may lose two thirds before one is negative
+    oblique = (vectors * np.sqrt(values) @ [[1, 0.5, -0.5], [0, 0.866, 0.866]]).T if len(K) == 2 else ()
+    return rank * (rank + 1) // 2 + 1, [*oblique], True
