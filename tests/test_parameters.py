@@ -279,3 +279,34 @@ def test_the_table_shows_what_was_known_before_the_record():
     declared = rco.Effect("damping", "link1", prior={"damping": 0.5}, start={"damping": 0.1})
     (row,) = rco.refine(model, data, [declared], offset=False).parameters
     assert (row.expected, row.prior, row.weak) == (0.5, 0.5, False)
+
+
+def _scaled(seed):
+    """A random stable model, the same with every entry 10 to 20 % off, and a record of the second one."""
+    rng = np.random.default_rng(seed)
+    n, q = int(rng.integers(1, 4)), int(rng.integers(1, 3))
+    while True:
+        A = rng.standard_normal((n, n))
+        A -= (np.linalg.eigvals(A).real.max() + 0.7) * np.eye(n)
+        B, C = rng.standard_normal((n, q)), rng.standard_normal((q, n))
+        D = rng.standard_normal((q, q)) * rng.integers(2)
+        off = [X * rng.choice([0.8, 0.9, 1.1, 1.2], X.shape) for X in (A, B, C, D)]
+        if np.linalg.eigvals(off[0]).real.max() < -0.3:
+            break
+    dt = 0.2 / np.abs(np.linalg.eigvals(off[0])).max()
+    u = np.repeat(rng.choice([-1.0, 1.0], (q, 200)), 8, axis=1)
+    y = np.atleast_2d(ct.forced_response(ct.ss(*off).sample(dt), inputs=u).outputs)
+    sd = 0.01 * y.std(axis=1, keepdims=True)
+    return ct.ss(A, B, C, D), rco.Measurement(u, y + sd * rng.standard_normal(y.shape), dt=dt), sd[:, 0]
+
+
+@pytest.mark.filterwarnings("ignore::rcorefine.IdentifiabilityWarning")  # numbers in other coordinates
+@pytest.mark.parametrize("seed", range(6))
+def test_free_linear_parameters_reach_the_noise(seed):
+    """Entries of B, C and D are numbers too, direct feedthrough included; the redundant ones are held.
+
+    The mean square of the residual has the relative deviation sqrt(2 / N); 5 of them are allowed.
+    """
+    model, data, noise = _scaled(seed)
+    found = rco.refine(model, data, free="linear")
+    assert (np.asarray(found.rmse) < noise * (1 + 5 / np.sqrt(2 * data.n_samples))).all()

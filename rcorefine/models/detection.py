@@ -139,6 +139,7 @@ def find_parameters(found: Incidence, by_state: Mapping[int, Port]) -> list[Nomi
         if port.kind == "mechanical" and not port.has_position:
             rest.take(port, Damping.name, i, i)
     rest.left[[item.state for item in found.physical]] = 0.0  # kinematic rows
+    rest.left[_shifts(linear)] = 0.0
     # zero losses of a physical structure, then the entries that are left over
     places = {port.name: port for port in [*(e.port for e in elements), *by_state.values()]}
     zeros = _lossless(found, list(places.values()), elements, rest.found)
@@ -160,6 +161,13 @@ def _entries(name: str, values: Array, listed: Any) -> list[NominalParameter]:
     ]
 
 
+def _shifts(linear: LinearModel) -> Array:
+    """Return the rows of A such as x1' = x2: kinematics, not numbers."""
+    A = linear.A
+    one = (np.count_nonzero(A, axis=1) == 1) & (np.abs(A).max(axis=1, initial=0.0) == 1.0)
+    return np.asarray(one & ~np.diag(A).astype(bool) & ~linear.B.any(axis=1))
+
+
 def _lossless(
     found: Incidence, ports: Sequence[Port], elements: Sequence[Element], known: Sequence[NominalParameter]
 ) -> list[NominalParameter]:
@@ -171,9 +179,7 @@ def _lossless(
     A = found.A
     # states on which the force of a link acts
     linked = np.any([e.port.act for e in elements] or [np.zeros(len(A))], axis=0)
-    # rows such as x1' = x2 are kinematics
-    one = (np.count_nonzero(A, axis=1) == 1) & (np.abs(A).max(axis=1, initial=0.0) == 1.0)
-    kinematic = one & ~found.linear.B.any(axis=1)
+    kinematic = _shifts(found.linear)
     kinds, zero = {(q.kind, q.place) for q in known}, []
     for port in ports:
         if port.kind == "mechanical":
@@ -506,12 +512,14 @@ def find_weights(found: Incidence, rate: Array, ports: Sequence[Port]) -> list[N
     # entries of C and D that count, but no load cells and no single gains
     mixed = np.abs(rest) > tolerance * np.abs(rest).max(axis=1, keepdims=True, initial=0.0)
     mixed[[y for port in ports for y in np.flatnonzero(port.output)]] = False
-    mixed[(mixed.sum(axis=1) == 1) & mixed[:, :n].any(axis=1)] = False
+    single = (mixed.sum(axis=1) == 1) & mixed[:, :n].any(axis=1)
+    # the gain of an input scales all outputs alike: of several outputs without a structure each has its own
+    mixed[single & (len(rest) == 1 or bool(found.physical))] = False
     # entries of B that count, but no kinematics, single gains and plain forces
     driven = found.driven.copy()
     driven[[item.state for item in found.displacements]] = False  # kinematic rows
-    driven[:, driven.sum(axis=0) == 1] = False
-    driven[:, [_enters(column, ports) for column in linear.B.T]] = False
+    alone = (driven.sum(axis=0) == 1) | [_enters(column, ports) for column in linear.B.T]
+    driven[:, alone & ~mixed[:, n:].any(axis=0)] = False  # a gain scales what passes directly, too
     # a weight of one is no number of the plant
     weights = [
         entry

@@ -36,7 +36,9 @@ _ALIASES = {
     "N m s^2/rad": "kg m^2",
 }
 _FACTOR = re.compile(r"([^\s^*/()]+)(?:\^(-?\d+(?:\.\d+)?))?")
-_OWN = 1e-6  # share of the influence of a parameter below which it is redundant
+# shares of the influence of a parameter that no other one has, in the order of asking; below
+# the last one it is redundant
+_SHARES = (0.5, 0.2, 0.05, 1e-6)
 _POINTS = 4  # evaluation points in the complex plane per state
 
 
@@ -213,23 +215,27 @@ def independent_parameters(model: PhysicalModel) -> tuple[NominalParameter, ...]
         return model.parameters
     responses = _Responses(model)
     basis: list[Array] = []
-    found = []
-    for q in model.parameters:
-        if KINDS[q.kind].inertial:  # masses are never free beside gains and must not replace free parameters
-            found.append(q)
-            continue
-        column = responses.change(q)
-        size = float(np.linalg.norm(column))
-        # Gram-Schmidt orthogonalization
-        for _ in range(2):  # twice, against rounding
-            for known in basis:
-                column = column - (known @ column) * known
-        left = float(np.linalg.norm(column))
-        # the part that no parameter before it explains
-        if left > _OWN * size:
-            basis.append(column / left)
-            found.append(q)
-    return tuple(found)
+    kept, waiting = set(), list(model.parameters)
+    # those that are well apart first (pivots, but in their order); last, losses that the model does not have,
+    # for they cannot be negative
+    for share, zero in (*((share, False) for share in _SHARES), (_SHARES[-1], True)):
+        for q in (q for q in waiting if zero or q.value):
+            column = responses.change(q)
+            size = float(np.linalg.norm(column))
+            # Gram-Schmidt orthogonalization
+            for _ in range(2):  # twice, against rounding
+                for known in basis:
+                    column = column - (known @ column) * known
+            left = float(np.linalg.norm(column))
+            # masses are never free beside gains and must not replace free parameters
+            if KINDS[q.kind].inertial:
+                kept.add(q.name)
+            # the part that no parameter before it explains
+            elif left > share * size:
+                basis.append(column / left)
+                kept.add(q.name)
+        waiting = [q for q in waiting if q.name not in kept]
+    return tuple(q for q in model.parameters if q.name in kept)
 
 
 class _Responses:
