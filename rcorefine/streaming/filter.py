@@ -266,7 +266,7 @@ class BlockFilter:
         found = [np.linalg.lstsq(prior.root, start - prior.theta, rcond=None)[0] for start in starts]
         points, use = [np.concatenate([np.zeros(n), zeta]) for zeta in found], first.use > 0
         # first for white noise, then for the color that is left
-        for most in (None, None) if state.rounds else (0, None, None):
+        for most in (None, None, None) if state.rounds else (0, None, None, None):
             best = min((self._descend(new, first, z0, L, point, use) for point in points), key=_cost)
             if not np.isfinite(best.cost):
                 raise DivergenceError(
@@ -280,7 +280,8 @@ class BlockFilter:
             use = (first.use > 0) & ~(np.abs(v) > _OUTLIER * np.maximum(1.5 * middle, 3 * _FLOOR * sizes))
             A, points = best.rows.jacobian[: -(n + q)], [best.point]
             solved = _Solved(A, np.zeros(len(A)))
-            filters, scales = self._noise(v, use, sizes, solved.explained, most)
+            unsure = best.rows.more.H @ (L @ solved.root)  # what the fit took out of the noise
+            filters, scales = self._noise(v, use, sizes, unsure, most)
             new = new._replace(filters=filters, scales=scales)
         z, root = z0 + L @ best.point, L @ solved.root
         z[n:] = np.clip(z[n:], *family.bounds)
@@ -366,9 +367,12 @@ class BlockFilter:
         return e[rows] / state.scales[rows[1]], white[rows] / state.scales[rows[1], None], rows
 
     def _noise(
-        self, v: Array, there: Array, sizes: Array, explained: float = 0.0, most: int | None = None
+        self, v: Array, there: Array, sizes: Array, unsure: Array | None = None, most: int | None = None
     ) -> tuple[Array, Array]:
-        """Whitening filters and scales from residuals (N, n_y)."""
+        """Whitening filters and scales from residuals (N, n_y).
+
+        `unsure` (N, n_y, d) is a root of the covariance of the outputs that were fitted.
+        """
         if self.settings.noise.any():
             return np.ones((self.ny, 1)), self.settings.noise
         # what a changing plant leaves is no noise of the sensors
@@ -376,17 +380,19 @@ class BlockFilter:
         longest = 0 if white else highest_order(len(v))
         longest = longest if most is None else min(most, longest)
         filters, scales = np.eye(1, 1 + longest).repeat(self.ny, axis=0), np.zeros(self.ny)
-        share = 1.0 - min(explained / max(there.sum(), 1), 0.5)  # degrees of freedom that are left
         for i in range(self.ny):
             known, signal = there[:, i], np.where(there[:, i], v[:, i], 0.0)
+            doubt = np.zeros((len(v), 0)) if unsure is None else unsure[:, i] * known[:, None]
             # gaps leave few samples with a whole past: then a short filter
             gaps = np.count_nonzero(~known)
             short = min(longest, int(0.1 * len(v) / gaps)) if gaps else longest
-            a, variance = np.ones(1), float(np.sum(signal**2) / max(known.sum(), 1))
+            variance = float((np.sum(signal**2) + np.sum(doubt**2)) / max(known.sum(), 1))
+            a = np.ones(1)
             if short and variance > 0:
+                given = {"known": known} if gaps else {"unsure": doubt}
                 price = np.log(max(known.sum(), 2))  # Schwarz: white noise stays white
-                a, variance = stable_model(*autoregression(signal, known=known, most=short, price=price))
-            filters[i, : a.size], scales[i] = a, np.sqrt(variance / share)
+                a, variance = stable_model(*autoregression(signal, most=short, price=price, **given))
+            filters[i, : a.size], scales[i] = a, np.sqrt(variance)
         orders = np.flatnonzero(filters.any(axis=0))
         return filters[:, : orders[-1] + 1], np.hypot(scales, _FLOOR * sizes)
 
