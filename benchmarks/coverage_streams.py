@@ -96,7 +96,9 @@ def main() -> None:
                         writer.writerow(row)
                         stream.flush()
                         rows.append(row)
-                    mine = [r for r in rows if (r["way"], r["noise"], int(r["samples"])) == (way, noise, samples)]
+                    mine = [
+                        r for r in rows if (r["way"], r["noise"], int(r["samples"])) == (way, noise, samples)
+                    ]
                     inside, values = (sum(int(r[name]) for r in mine) for name in ("inside", "values"))
                     ratio = np.median([float(r["ratio"]) for r in mine])
                     print(

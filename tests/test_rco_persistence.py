@@ -69,7 +69,9 @@ def same(one, other):
     np.testing.assert_array_equal(one.theta, other.theta)
     if one.effects is not None:
         np.testing.assert_array_equal(one.covariance, other.covariance)
-        ours, theirs = (refiner._estimator.state()["forms"].filters["coefficients"] for refiner in (one, other))
+        ours, theirs = (
+            refiner._estimator.state()["forms"].filters["coefficients"] for refiner in (one, other)
+        )
         np.testing.assert_array_equal(ours.z, theirs.z)
         np.testing.assert_array_equal(ours.L, theirs.L)
     assert str(one) == str(other)
@@ -113,7 +115,9 @@ def test_a_failed_save_leaves_the_old_file(tmp_path, monkeypatch):
 
 
 def test_a_state_of_an_older_version_is_refused_with_a_sentence():
-    with pytest.raises(rco.DataError, match="schema version 1, this version reads 2; load it with the version"):
+    with pytest.raises(
+        rco.DataError, match="schema version 1, this version reads 2; load it with the version"
+    ):
         RCORefiner.load(Path(__file__).with_name("state_of_0_1.npz"))
 
 

@@ -21,7 +21,15 @@ from ..effects.formula import InputLaw, OutputLaw
 from ..engine.engine import Engine
 from ..engine.linear import Substep, state_power
 from ..engine.structure import Parameter, Structure
-from ..exceptions import ConversionWarning, IdentifiabilityWarning, ModelError, RCOError, RCOWarning, unheard, warn
+from ..exceptions import (
+    ConversionWarning,
+    IdentifiabilityWarning,
+    ModelError,
+    RCOError,
+    RCOWarning,
+    unheard,
+    warn,
+)
 from ..inference.covariance import standard_deviations
 from ..inference.parameters import EstimatedParameter, estimated, nominal_size, parameter_table
 from ..inference.starts import estimated_motion, law_widths
@@ -41,7 +49,10 @@ _LAG = 64  # samples that input delays look back on
 _MARGIN = 1e-3  # share of a bound that an estimate keeps off it
 _LOOSE = 2.0  # prior standard deviation over the nominal value
 _WIDE = 30.0  # ... over the size whose effect on the outputs is that of the signals
-_FAR, _FLAT = 6.0, 1e-3  # standard errors of a mean that is no chance; share of an output that distorts nothing
+_FAR, _FLAT = (
+    6.0,
+    1e-3,
+)  # standard errors of a mean that is no chance; share of an output that distorts nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -294,9 +305,13 @@ class Effects(Family):
             large = ~suspect & (np.abs(mean) > np.maximum(spread, _FLAT * size))
             if large.any():
                 offsets = [Effect(OutputOffset.name, labels[i]) for i in np.flatnonzero(large)]
-                beside = compare(refine(self.physical, data, [*self.effects, *offsets], offset=False), data).residual
+                beside = compare(
+                    refine(self.physical, data, [*self.effects, *offsets], offset=False), data
+                ).residual
                 _, error, spread = _means(beside)
-                gain = len(left) * np.log(np.nanmean(left.T**2, axis=1) / np.maximum(np.mean(beside**2, axis=1), 1e-300))
+                gain = len(left) * np.log(
+                    np.nanmean(left.T**2, axis=1) / np.maximum(np.mean(beside**2, axis=1), 1e-300)
+                )
                 # colored noise: fewer independent samples than samples
                 wide = np.maximum(1.0, len(left) * (error / np.maximum(spread, 1e-300)) ** 2)
                 suspect |= large & (gain > _FAR**2 * wide)

@@ -168,7 +168,9 @@ class BlockFilter:
 
     # -- samples in ----------------------------------------------------------------------------------
 
-    def step(self, state: FilterState, block: Block, *, course: bool = False) -> tuple[FilterState, Course | None]:
+    def step(
+        self, state: FilterState, block: Block, *, course: bool = False
+    ) -> tuple[FilterState, Course | None]:
         """Return the state after a block, and its course where that is asked for."""
         found = self.unlearned(state, block) if course else None
         n_samples = state.n_samples + len(block.inputs)
@@ -460,7 +462,8 @@ class BlockFilter:
     def _surprised(self, state: FilterState, block: Block) -> FilterState:
         """Count a block that taught nothing: a bump moves the state alone."""
         soon = state.n_samples - state.surprised < _SOON
-        return self._lost(state, block)._replace(surprises=state.surprises + 1 if soon else 1, surprised=state.n_samples
+        return self._lost(state, block)._replace(
+            surprises=state.surprises + 1 if soon else 1, surprised=state.n_samples
         )
 
     def _lost(self, state: FilterState, block: Block) -> FilterState:
@@ -517,7 +520,9 @@ class BlockFilter:
 def output_sizes(block: Block) -> Array:
     """Rms of each output over the samples that were measured; 1 for one that is zero."""
     power = np.sum(np.where(block.use, block.outputs, 0.0) ** 2, axis=0)
-    return np.sqrt(np.where(power > 0, power, 1.0) / np.where(power > 0, np.maximum(block.use.sum(axis=0), 1), 1.0))
+    return np.sqrt(
+        np.where(power > 0, power, 1.0) / np.where(power > 0, np.maximum(block.use.sum(axis=0), 1), 1.0)
+    )
 
 
 def _cost(best: Minimum) -> float:

@@ -386,13 +386,15 @@ class Forms:
         """Standard deviation of the refined frequency response, a function of frequency; None if unknown."""
         one, state = self._best()
         around = _variants(one, state)
-        return partial(_response_deviation, one.family.system(state.z[one.n :], ""), around) if around else None
+        return (
+            partial(_response_deviation, one.family.system(state.z[one.n :], ""), around) if around else None
+        )
 
     def history(self) -> CoefficientHistory:
         """Course of both stages; samples that wait go on as the last block."""
         form = self.form
         one, state, records = self.filters[form], self.state_.filters[form], list(self.records[form])
-        if (waiting := [block for block in self._waiting if len(block.inputs)]) :
+        if waiting := [block for block in self._waiting if len(block.inputs)]:
             block = Block.joined(waiting)
             records.append((one.unlearned(state, block), np.where(block.use, block.outputs, np.nan)))
         y = joined([y for _, y in records], (self.model.n_outputs,))

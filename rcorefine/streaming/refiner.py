@@ -210,7 +210,9 @@ class RCORefiner(Locked, Result):
         refiner._begin(model, dt, given, paper_stages)
         return refiner
 
-    def _begin(self, model: Any, dt: float | None, settings: dict[str, Any], make: Callable[..., Any]) -> None:
+    def _begin(
+        self, model: Any, dt: float | None, settings: dict[str, Any], make: Callable[..., Any]
+    ) -> None:
         # settings stay as they were given: `save` writes them, `load` builds the refiner from them
         self.model, self.dt, self.effects = model, dt, settings.get("effects")
         self._settings, self._paper = settings, make is paper_stages
@@ -636,7 +638,11 @@ def _as_items(items: Any) -> list[Any]:
     return [items] if isinstance(items, str | Effect) else as_list(items, "effects", "entries or effects")
 
 
-_BESIDE = {"window": 100, "markov": 20, "static_order": 0}  # stage 1 beside the filter: a short window costs less
+_BESIDE = {
+    "window": 100,
+    "markov": 20,
+    "static_order": 0,
+}  # stage 1 beside the filter: a short window costs less
 _INERT = Settings(order=0, window=1, markov=1, learning_rate=1e25)  # the static stage is the filter's
 _MOST = 150  # coefficients of a form that takes part in a comparison unasked
 _PAPERS = ("window", "markov", "static_order", "static_window", "static_markov", "static_learning_rate",
@@ -666,7 +672,11 @@ def modern(given: dict[str, Any], old: dict[str, Any]) -> tuple[dict[str, Any], 
     filters = [name for name in ("noise", "disturbance", "substeps") if given[name] is not None]
     filters += [name for name, value in (("hold", "zoh"), ("forgetting", 1.0)) if given[name] != value]
     form, effects = static if isinstance(static, str) else "auto", None if isinstance(static, str) else static
-    if effects is not None and given["effects"] is not None or (form != "auto" and given["effects"] is not None):
+    if (
+        effects is not None
+        and given["effects"] is not None
+        or (form != "auto" and given["effects"] is not None)
+    ):
         raise ct.ControlArgument("effects= and static= name the same thing; give effects=")
     effects = given["effects"] if effects is None else _as_tuple(effects)
     if papers and effects is None and form == "auto":
@@ -693,7 +703,11 @@ def modern(given: dict[str, Any], old: dict[str, Any]) -> tuple[dict[str, Any], 
             'the form "input" is gone: use RCORefiner.paper, or form="discrete", which contains it'
         )
     line = f"effects={list(effects)!r}" if effects is not None else f"form={form!r}"
-    _outdated(f"use RCORefiner(model, dt=..., {line})" if static != "auto" else f"{', '.join(old)} set stage 1 alone")
+    _outdated(
+        f"use RCORefiner(model, dt=..., {line})"
+        if static != "auto"
+        else f"{', '.join(old)} set stage 1 alone"
+    )
     return given | {"effects": effects, "form": form} | old, assembled
 
 
