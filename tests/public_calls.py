@@ -1060,7 +1060,6 @@ CALLS: dict[str, Call] = {
                     "order",
                     "window",
                     "markov",
-                    "static_order",
                     "static_window",
                     "static_markov",
                     "static_average",

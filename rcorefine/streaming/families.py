@@ -178,8 +178,8 @@ class Family(ABC):
         """Return coefficients and covariance in the given time domain."""
         return theta, covariance
 
-    def check(self, first: Block, left: Array) -> None:
-        """Warn of what the residual (N, n_y) of the first samples shows."""
+    def check(self, first: Block, left: Array) -> None:  # noqa: B027
+        """Warn of what the residual (N, n_y) of the first samples shows; by default of nothing."""
 
 
 class Effects(Family):
@@ -289,8 +289,8 @@ class Effects(Family):
     def check(self, first: Block, left: Array) -> None:
         """Warn if the first samples have a constant part that no effect takes: it distorts the others.
 
-        Seen in the mean of the residual, or, where the fit turned it into a slow motion, in that of the initial
-        model; then a fit beside an offset must be decisively better.
+        Seen in the mean of the residual, or, where the fit turned it into a slow motion, in that of the
+        initial model; then a fit beside an offset must be decisively better.
         """
         from ..comparison.compare import compare
         from ..refinement.refine import refine
@@ -485,7 +485,7 @@ class Entries(Family):
 
         Behind the state stand the inputs before and after the sample.
         """
-        base, hold, dt = self.base, self.settings.hold, self.settings.dt
+        base, dt = self.base, self.settings.dt
         n, nw = base.n_states, base.n_inputs
         whole = self.stacked(theta)[:n]
         if not base.is_continuous:  # the patterns are the derivatives

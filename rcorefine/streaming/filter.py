@@ -554,8 +554,7 @@ def _held(root: Array, n: int, spread: Array) -> tuple[Array, Array]:
     Return the square root of the covariance without them, and their own covariance (p, p). Blocks that are
     linearized at different points seem to tell something along a curved ridge; each pushes theta on.
     """
-    theta = root[n:] / spread[:, None]
-    U, sizes, V = np.linalg.svd(theta, full_matrices=False)
+    _, sizes, V = np.linalg.svd(root[n:] / spread[:, None], full_matrices=False)
     weak = V[sizes > _WEAK].T @ V[sizes > _WEAK]
     kept = root - root @ weak
     return kept, root[n:] @ weak @ root[n:].T

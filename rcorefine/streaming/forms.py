@@ -23,9 +23,9 @@ from ..systems.response import frequency_response
 from .families import MILESTONES, Family
 from .filter import BlockFilter, Course, FilterState
 from .history import PARAMETERS, CoefficientHistory, Summary, joined, pole_samples, poles_of, rates
-from .persistence import check_like, storable
-from .rcmr.paper import PaperStages
-from .samples import Block, Complex, Flags
+from .paper import PaperStages
+from .persistence import storable
+from .samples import Block, Complex
 
 INITIAL = "initial"
 _WILD = "!"  # after the name of a form: its model as it is, however fast it grows
@@ -374,7 +374,7 @@ class Forms:
 
     def dynamic_theta(self) -> Array:
         """Coefficients of stage 1."""
-        return np.zeros((0, 0)) if (first := self._stage_one()) is None else first.theta(0)
+        return np.zeros((0, 0)) if (first := self._stage_one()) is None else first.dynamic_theta()
 
     def predict(self, inputs: Array) -> Array:
         """Free run on further inputs of shape (N, n_w); outputs of shape (n_y, N)."""

@@ -34,21 +34,19 @@ from .families import (
 from .forms import INITIAL, Forms
 from .history import CoefficientHistory, History, Summary
 from .locks import Locked
+from .paper import PaperStages
 from .persistence import check_like, read_file, write_file
-from .rcmr.kernels import Plant
-from .rcmr.paper import PaperStages
-from .rcmr.setup import Scales, Settings, as_settings, make_setup, markov_parameters
 from .samples import (
     Sampled,
     as_missing,
     as_samples,
-    as_size,
     check_samples,
     checked_block,
     checked_record,
     sampled_model,
     whole_block,
 )
+from .scales import Plant, Scales, markov_parameters
 
 _CHUNK = 1000
 
@@ -112,6 +110,7 @@ class RCORefiner(Locked, Result):
     """
 
     _latest: Array
+    _estimator: PaperStages | Forms
 
     def __init__(
         self,
@@ -151,7 +150,6 @@ class RCORefiner(Locked, Result):
         window: int = 800,
         markov: int = 20,
         learning_rate: float = 1e5,
-        static_order: int = 0,
         static_window: int | None = None,
         static_markov: int | None = None,
         static_learning_rate: float | None = None,
@@ -171,8 +169,8 @@ class RCORefiner(Locked, Result):
             As of the class.
         order, window, markov, learning_rate : int or float, optional
             Stage 1: memory n_c in samples, window p, mu Markov parameters, weight alpha.
-        static_order, static_window, static_markov, static_learning_rate : int or float, optional
-            The same of stage 2; by default those of stage 1, n_c = 0.
+        static_window, static_markov, static_learning_rate : int or float, optional
+            The same of stage 2, whose n_c is 0; by default those of stage 1.
         static_average : int, optional
             Samples that the refined model averages; by default two windows.
         correction_input, correction_feedthrough : array_like of shape (n, l_u), (n_y, l_u), optional
@@ -200,7 +198,7 @@ class RCORefiner(Locked, Result):
         """
         given = {
             "order": order, "window": window, "markov": markov, "learning_rate": learning_rate,
-            "static_order": static_order, "static_window": static_window, "static_markov": static_markov,
+            "static_window": static_window, "static_markov": static_markov,
             "static_learning_rate": static_learning_rate, "static_average": static_average,
             "correction_input": correction_input, "correction_feedthrough": correction_feedthrough,
             "use_estimated_states": use_estimated_states, "scale": scale, "history": history,
@@ -638,14 +636,9 @@ def _as_items(items: Any) -> list[Any]:
     return [items] if isinstance(items, str | Effect) else as_list(items, "effects", "entries or effects")
 
 
-_BESIDE = {
-    "window": 100,
-    "markov": 20,
-    "static_order": 0,
-}  # stage 1 beside the filter: a short window costs less
-_INERT = Settings(order=0, window=1, markov=1, learning_rate=1e25)  # the static stage is the filter's
+_BESIDE = {"window": 100, "markov": 20}  # stage 1 beside the filter: a short window costs less
 _MOST = 150  # coefficients of a form that takes part in a comparison unasked
-_PAPERS = ("window", "markov", "static_order", "static_window", "static_markov", "static_learning_rate",
+_PAPERS = ("window", "markov", "static_window", "static_markov", "static_learning_rate",
            "static_average")  # fmt: skip
 _STAGE_ONE = ("correction_input", "correction_feedthrough", "scale")
 
@@ -672,11 +665,7 @@ def modern(given: dict[str, Any], old: dict[str, Any]) -> tuple[dict[str, Any], 
     filters = [name for name in ("noise", "disturbance", "substeps") if given[name] is not None]
     filters += [name for name, value in (("hold", "zoh"), ("forgetting", 1.0)) if given[name] != value]
     form, effects = static if isinstance(static, str) else "auto", None if isinstance(static, str) else static
-    if (
-        effects is not None
-        and given["effects"] is not None
-        or (form != "auto" and given["effects"] is not None)
-    ):
+    if given["effects"] is not None and (effects is not None or form != "auto"):
         raise ct.ControlArgument("effects= and static= name the same thing; give effects=")
     effects = given["effects"] if effects is None else _as_tuple(effects)
     if papers and effects is None and form == "auto":
@@ -687,7 +676,7 @@ def modern(given: dict[str, Any], old: dict[str, Any]) -> tuple[dict[str, Any], 
             )
         shared = ("order", "learning_rate", "use_estimated_states", "history", "missing")
         found = {name: given[name] for name in shared} | old
-        defaults = {"window": 800, "markov": 20, "static_order": 0}
+        defaults = {"window": 800, "markov": 20}
         found |= {name: value for name, value in defaults.items() if found.get(name) is None}
         # version 0.2 averaged 800 samples unless a window was given
         if all(old.get(name) is None for name in ("static_average", "window", "static_window")):
@@ -717,12 +706,7 @@ def _outdated(line: str) -> None:
 
 def paper_stages(model: Any, sampled: Sampled, given: dict[str, Any]) -> PaperStages:
     """Both stages by the paper's equations."""
-    keep = as_flag(given["history"], "history")
-    as_flag(given["use_estimated_states"], "use_estimated_states")
-    settings = as_settings(given, {})
-    average = 2 * settings[1].window if given["static_average"] is None else given["static_average"]
-    average = as_size(average, "static_average", 1, "samples to average over")
-    return PaperStages(make_setup(sampled, given, settings, given["use_estimated_states"], average), keep)
+    return PaperStages(sampled, given, as_flag(given["history"], "history"))
 
 
 def assembled(model: Any, sampled: Sampled, given: dict[str, Any]) -> Forms:
@@ -782,11 +766,10 @@ def _stage_one(sampled: Sampled, given: dict[str, Any]) -> tuple[PaperStages | N
         return None, ""
     none = dict.fromkeys((*_PAPERS, *_STAGE_ONE)) | {"scale": "auto"}
     given = none | _BESIDE | {name: value for name, value in given.items() if value is not None}
-    settings = as_settings(given, {})[0], _INERT
     # Markov parameters: does each input act on an output within n samples?
     m = sampled.discrete
     shown = markov_parameters(Plant(m.A, m.B, m.B, m.C, m.D, m.D), m.n_states + 1).any(axis=(0, 1))
     given_path = given["correction_input"] is not None or given["correction_feedthrough"] is not None
     if not given_path and not shown.all():
         return None, "Stage 1 does not run: an input affects no output, so it cannot correct any."
-    return PaperStages(make_setup(sampled, given, settings, True, 1), given["history"]), ""
+    return PaperStages(sampled, given, given["history"], beside=True), ""
