@@ -573,7 +573,7 @@ class _Matrices(Structure):
         return self._family.start()
 
     @property
-    def absorbed(self) -> Any:  # type: ignore[override]
+    def absorbed(self) -> Any:
         """All coefficients enter the matrices."""
         return np.arange(len(self.parameters))
 
@@ -624,8 +624,8 @@ def checked_entries(model: LinearModel, names: Sequence[str]) -> list[str]:
         match = _ENTRY.fullmatch(name)
         if match is None:
             raise ct.ControlArgument(
-                f"effects: {name!r} is no entry; write it as 'A[1,0]' (rows and columns from 0), and others as "
-                "Effect objects"
+                f"effects: {name!r} is no entry; write it as 'A[1,0]' (rows and columns from 0); physical "
+                "effects are Effect objects"
             )
         matrix, row, column = match[1], int(match[2]), int(match[3])
         entry, shape = f"{matrix}[{row},{column}]", getattr(model, matrix).shape

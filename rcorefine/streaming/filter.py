@@ -3,8 +3,8 @@
 The state of the filter is z = [x; theta]: the state of the model at the first sample of a block, and its
 coefficients. The engine simulates the block and gives its outputs h(z) with their exact derivatives H, so a
 block of samples is one measurement y = h(z) + v of z, and the filter is an iterated extended Kalman filter
-(Jazwinski, Stochastic Processes and Filtering Theory, 1970, section 8.3). Its covariance P = L L' is kept as a
-square root. The noise v is whitened by the autoregressive filters that `refine` uses. The first samples are
+(Jazwinski, Stochastic Processes and Filtering Theory, 1970, section 8.3). Its covariance P = L L' is kept as
+a square root. The noise v is whitened by the autoregressive filters that `refine` uses. The first samples are
 kept and fitted once more as they double: errors of phase grow with time, so a short stretch has one valley
 where a long one has many.
 """
@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..data.measurement import Measurement
 from ..engine.engine import Engine
@@ -29,6 +30,8 @@ from .persistence import storable
 from .samples import Block, whole_block
 
 _RING = 1024  # residuals that the noise is learned from
+Flags = NDArray[np.bool_]
+
 _SHARE = 0.3  # of its standard deviation that a coefficient may move before the model is linearized anew
 _ROUNDS = 6  # linearizations of a block, at most
 _SURPRISE = 9.0  # mean square of a block's normalized innovations: what was learned does not hold
@@ -126,6 +129,18 @@ class Model(NamedTuple):
     inner: Array  #: memory of laws at the last sample
 
 
+class Update(NamedTuple):
+    """What a block changes."""
+
+    z: Array  #: (n + p,)
+    root: Array  #: (n + p, d), square root of its covariance
+    at: Array  #: (n + p,), where the model was linearized
+    model: Model  #: the samples about that point
+    e: Array  #: (k,), whitened innovations
+    A: Array  #: (k, d), H L, whitened
+    rows: tuple[Any, ...]  #: sample and output of each
+
+
 storable(FilterState, Course, Block)
 
 
@@ -143,7 +158,6 @@ class BlockFilter:
     def __init__(self, family: Family) -> None:
         self.family, self.settings = family, family.settings
         self.n, self.ny = family.structure(np.zeros(0)).n_states, family.model.n_outputs
-
         self._order = np.roll(np.arange(self.n + family.start().size), self.n)
         # samples that are fitted together: no more than the memory that forgetting leaves
         memory = 1.0 / max(1.0 - self.settings.forgetting, 1e-9)
@@ -159,10 +173,10 @@ class BlockFilter:
         p = theta.size
         return FilterState(
             z=np.concatenate([np.zeros(n), theta]), L=np.zeros((n + p, 0)), centre=theta,
-            filters=np.ones((ny, 1)), scales=np.ones(ny), gain=np.zeros((n, ny)), past=nothing, before=nothing.inputs,
-            inner=np.zeros(0), first=nothing,
-            left=np.zeros((0, ny)), spread=np.full(p, np.inf), held=np.zeros((p, p)), sizes=np.ones(ny),
-            reach=np.ones(n), power=0.0, widths=np.zeros(0), n_samples=n_samples, begun=n_samples, collects=True, rounds=0, surprises=0,
+            filters=np.ones((ny, 1)), scales=np.ones(ny), gain=np.zeros((n, ny)), past=nothing,
+            before=nothing.inputs, inner=np.zeros(0), first=nothing, left=np.zeros((0, ny)),
+            spread=np.full(p, np.inf), held=np.zeros((p, p)), sizes=np.ones(ny), reach=np.ones(n), power=0.0,
+            widths=np.zeros(0), n_samples=n_samples, begun=n_samples, collects=True, rounds=0, surprises=0,
             surprised=0,
         )  # fmt: skip
 
@@ -185,7 +199,7 @@ class BlockFilter:
         if after.surprises >= _TIMES or not (known or state.rounds):
             return self.begin(n_samples), found
         if state.collects and known and age in MILESTONES and age >= self.family.least:
-            after = self.fit(after, first)
+            after = self._fit_or_wait(after, first, age)
         if age >= self._last or not known:
             after = after._replace(first=first.part(0, 0), collects=False)
         return after, found
@@ -196,53 +210,70 @@ class BlockFilter:
             return state
         return self.fit(state, state.first)
 
+    def _fit_or_wait(self, state: FilterState, first: Block, age: int) -> FilterState:
+        """Fit the first samples; a fit that runs away is tried again with more of them."""
+        try:
+            return self.fit(state, first)
+        except DivergenceError:
+            if state.rounds == 0 and age >= self._last:
+                raise
+            return state
+
     def _learn(self, state: FilterState, block: Block, course: bool) -> tuple[FilterState, Course | None]:
-        """Update by a block: prediction, innovations, gain, covariance."""
-        n, settings = self.n, self.settings
+        """Learn from a block, unless it is a surprise."""
+        n, q, N = self.n, len(state.past.inputs), len(block.inputs)
         found = self.unlearned(state, block) if course else None
-        q, N = len(state.past.inputs), len(block.inputs)
         whole = Block.joined([state.past, block])
+        # the noise follows what the blocks leave
         if (state.n_samples + N) // _RING > state.n_samples // _RING and len(state.left) == _RING:
             filters, scales = self._noise(state.left, np.isfinite(state.left), state.sizes)
             state = state._replace(filters=filters, scales=scales)
         use = whole.use > 0
-        use[:q] &= False
-        # forgetting and unknown forces loosen what is known
-        L, at, loose = state.L, np.concatenate([state.z[:n], self._centre(state)]), settings.forgetting < 1
+        use[:q] = False  # learned before: there for the whitening filter alone
+        update = self._update(state, whole, use, self.settings.forgetting**N)
+        if update is None:
+            return self._surprised(state, block), found
+        z, root, at, model = update.z, update.root, update.at, update.model
+        v = np.where(whole.use > 0, whole.outputs - model.outputs - model.H @ (z - at), np.nan)
+        after = state._replace(left=np.concatenate([state.left, v[q:]])[-_RING:], centre=at[n:])
+        if course and (again := self._simulate(state, whole, z)) is not None:
+            found = Course(np.tile(z[n:], (N, 1)), again.states[q:], self._ahead(whole, update, state)[q:])
+        return self._move_on(after, whole, z, root, (model, at)), found
+
+    def _update(self, state: FilterState, whole: Block, use: Flags, kept: float) -> Update | None:
+        """Update by a block: innovations, gain, covariance. None where what was learned does not hold.
+
+        The model is linearized anew until theta stays close to where that was done.
+        """
+        n, L, at, update = self.n, state.L, np.concatenate([state.z[: self.n], self._centre(state)]), None
         for _ in range(_ROUNDS):
             model = self._simulate(state, whole, at)
             if model is None:
-                return self._surprised(state, block), found
-            # innovation r = y - h(at) - H (z - at), whitened: unit covariance R
+                return None
+            # innovations r = y - h(at) - H (z - at), whitened: their noise has covariance R = I
             r = whole.outputs - model.outputs + model.H @ (at - state.z)
             e, A, rows = self._whiten(state, r, model.H @ L, whole.use > 0, use)
-            # S = H P H' + R; what a block teaches is small against S where its normalized innovations are
             solved = _Solved(A, e)
+            # S = H P H' + R: are the innovations as small as it says, but for a few outliers?
             if solved.surprise > _SURPRISE and e.size:
                 far = np.abs(e) > _OUTLIER * np.sqrt(1.0 + np.sum(A**2, axis=1))
                 if not far.any() or far.mean() > _FEW:
-                    return self._surprised(state, block), found
+                    return None
                 use[rows[0][far], rows[1][far]] = False
                 continue
-            if loose and self._power(state, model, use) > _SILENT * state.power:
-                wider, loose = _forget(L, solved.root, n, settings.forgetting**N), False
+            if kept < 1.0 and self._power(state, model, use) > _SILENT * state.power:
+                wider, kept = _forget(L, solved.root, n, kept), 1.0
                 L, A = L @ wider, A @ wider
                 solved = _Solved(A, e)
-            # z = z + K r, P = P - K H P
-            z = state.z + L @ solved.mean
-            root = L @ solved.root
+            # z = z + K e, P = P - K H P
+            z, root = state.z + L @ solved.mean, L @ solved.root
             z[n:] = np.clip(z[n:], *self.family.bounds)
+            update = Update(z, root, at, model, e, A, rows)
             moved, size = np.abs(z - at)[n:], np.sqrt(np.sum(root[n:] ** 2, axis=1))
             if np.all(moved <= _SHARE * size + 1e-12 * np.abs(z[n:])):
                 break
             at = z.copy()
-        v = whole.outputs - model.outputs - model.H @ (z - at)
-        v[whole.use == 0] = np.nan
-        after = state._replace(left=np.concatenate([state.left, v[q:]])[-_RING:], centre=at[n:])
-        if course and (again := self._simulate(state, whole, z)) is not None:
-            ahead = self._predictions(whole, e, A, rows, state)
-            found = Course(np.tile(z[n:], (len(block.inputs), 1)), again.states[q:], ahead[q:])
-        return self._move_on(after, whole, z, root, (model, at)), found
+        return update
 
     def fit(self, state: FilterState, first: Block) -> FilterState:
         """Return the state after all first samples, fitted together.
@@ -252,7 +283,8 @@ class BlockFilter:
         family, n = self.family, self.n
         prior, widths = family.prior(first, state.z[n:] if state.rounds else None)
         sizes = output_sizes(first)
-        new = state._replace(widths=widths, sizes=sizes, filters=np.ones((self.ny, 1)), scales=self._level(state, sizes),
+        new = state._replace(
+            widths=widths, sizes=sizes, filters=np.ones((self.ny, 1)), scales=self._level(state, sizes),
             past=first.part(0, 0), before=first.inputs[:0], inner=np.zeros(0), spread=prior.spread,
             held=np.diag(prior.spread**2) - prior.root @ prior.root.T, rounds=state.rounds + 1,
         )  # fmt: skip
@@ -264,7 +296,7 @@ class BlockFilter:
         z0, L = np.concatenate([np.zeros(n), prior.theta]), np.zeros((n + p, n + q))
         L[:n, :n], L[n:, n:] = np.diag(new.reach), prior.root
         starts = [prior.start, prior.theta, state.z[n:]] if len(first.inputs) <= _SOON else [state.z[n:]]
-        starts = [one for i, one in enumerate(starts) if not any(np.array_equal(one, o) for o in starts[:i])]
+        starts = list({one.tobytes(): one for one in starts}.values())
         found = [np.linalg.lstsq(prior.root, start - prior.theta, rcond=None)[0] for start in starts]
         points, use = [np.concatenate([np.zeros(n), zeta]) for zeta in found], first.use > 0
         # first for white noise, then for the color that is left
@@ -297,7 +329,7 @@ class BlockFilter:
         return self._move_on(new, first, z, root, None)
 
     def _descend(
-        self, state: FilterState, first: Block, z0: Array, L: Array, begin: Array, use: Array
+        self, state: FilterState, first: Block, z0: Array, L: Array, begin: Array, use: Flags
     ) -> Minimum:
         """Gauss-Newton over zeta, z = z0 + L zeta."""
         n = self.n
@@ -350,7 +382,7 @@ class BlockFilter:
         return state.centre if near else theta
 
     def _whiten(
-        self, state: FilterState, r: Array, A: Array, there: Array, use: Array
+        self, state: FilterState, r: Array, A: Array, there: Flags, use: Flags
     ) -> tuple[Array, Array, Any]:
         """Whiten innovations (N, n_y) and their derivatives (N, n_y, d).
 
@@ -369,7 +401,7 @@ class BlockFilter:
         return e[rows] / state.scales[rows[1]], white[rows] / state.scales[rows[1], None], rows
 
     def _noise(
-        self, v: Array, there: Array, sizes: Array, unsure: Array | None = None, most: int | None = None
+        self, v: Array, there: Flags, sizes: Array, unsure: Array | None = None, most: int | None = None
     ) -> tuple[Array, Array]:
         """Whitening filters and scales from residuals (N, n_y).
 
@@ -391,9 +423,10 @@ class BlockFilter:
             variance = float((np.sum(signal**2) + np.sum(doubt**2)) / max(known.sum(), 1))
             a = np.ones(1)
             if short and variance > 0:
-                given = {"known": known} if gaps else {"unsure": doubt}
-                price = np.log(max(known.sum(), 2))  # Schwarz: white noise stays white
-                a, variance = stable_model(*autoregression(signal, most=short, price=price, **given))
+                price = float(np.log(max(known.sum(), 2)))  # Schwarz: white noise stays white
+                there_all, doubt_all = (known, None) if gaps else (None, doubt)
+                found = autoregression(signal, most=short, price=price, known=there_all, unsure=doubt_all)
+                a, variance = stable_model(*found)
             filters[i, : a.size], scales[i] = a, np.sqrt(variance)
         orders = np.flatnonzero(filters.any(axis=0))
         return filters[:, : orders[-1] + 1], np.hypot(scales, _FLOOR * sizes)
@@ -407,7 +440,7 @@ class BlockFilter:
         left = np.where(np.isfinite(state.left), state.left, 0.0)
         return np.hypot(np.sqrt(np.mean(left**2, axis=0)), _FLOOR * sizes)
 
-    def _power(self, state: FilterState, model: Model, use: Array) -> float:
+    def _power(self, state: FilterState, model: Model, use: Flags) -> float:
         """Information of a sample about the coefficients, over that of their prior."""
         told = model.H[:, :, self.n :] * state.spread / state.scales[:, None]
         return float(np.sum(told[use] ** 2) / max(use.sum(), 1))
@@ -485,13 +518,13 @@ class BlockFilter:
             np.full((N, self.ny), np.nan),
         )  # fmt: skip
 
-    def _predictions(self, whole: Block, e: Array, A: Array, rows: Any, state: FilterState) -> Array:
-        """Outputs one sample ahead: what the innovations of the sequence leave."""
+    def _ahead(self, whole: Block, update: Update, state: FilterState) -> Array:
+        """Outputs one sample ahead: what the innovations of the sequence leave, NaN in gaps."""
+        _, _, _, _, e, A, rows = update
         # S = C C': the k-th entry of C^-1 e is the innovation of row k given the rows before
         C = np.linalg.cholesky(A @ A.T + np.eye(len(A)))
-        ahead = np.diag(C) * np.linalg.solve(C, e) * state.scales[rows[1]]
         found = np.full(whole.outputs.shape, np.nan)
-        found[rows] = whole.outputs[rows] - ahead
+        found[rows] = whole.outputs[rows] - np.diag(C) * np.linalg.solve(C, e) * state.scales[rows[1]]
         return found
 
     # -- results -------------------------------------------------------------------------------------
@@ -571,4 +604,5 @@ def _forget(L: Array, root: Array, n: int, kept: float) -> Array:
     left, V = np.linalg.eigh(U.T @ root @ root.T @ U)  # of their unit variances, after the block
     lost, learned = 1.0 / kept - 1.0, 1.0 / np.maximum(left, 1e-12) - 1.0
     f = 1.0 + lost * np.clip(learned / lost / _EXCITED, 0.0, 1.0)
-    return np.eye(len(U)) + (U @ V * (np.sqrt(f) - 1.0)) @ (U @ V).T
+    widened: Array = np.eye(len(U)) + (U @ V * (np.sqrt(f) - 1.0)) @ (U @ V).T
+    return widened

@@ -323,7 +323,7 @@ class Forms:
         return to_discrete(model, self.settings.dt, self.settings.hold)
 
     def _own_system(self, name: str) -> LinearModel:
-        """Best model in the timebase that it is estimated in; its growth is limited unless data support it."""
+        """Best model in the timebase that it is estimated in; it grows only where data support that."""
         form, grows = self._chosen
         model = self._form_system(self.state_, form, name)
         if not self._competing or grows:
@@ -569,7 +569,8 @@ def _notes(one: BlockFilter, state: FilterState) -> list[str]:
     levels = ", ".join(f"{label} {x:.3g}" for label, x in zip(family.model.output_labels, level, strict=True))
     of = _pole_caution, _bound_caution, _doubt_cautions, _error_cautions
     return [
-        f"std is the standard deviation of the value at this sample. Residual of the simulation (rms): {levels}.",
+        "std is the standard deviation of the value at this sample. Residual of the simulation (rms): "
+        f"{levels}.",
         *(sentence for caution in of for sentence in caution(one, state)),
     ]
 

@@ -671,8 +671,8 @@ def modern(given: dict[str, Any], old: dict[str, Any]) -> tuple[dict[str, Any], 
     if papers and effects is None and form == "auto":
         if filters:
             raise ct.ControlArgument(
-                f"{filters[0]} is a setting of the filter, {papers[0]} one of the paper's equations; leave one "
-                "of the two out"
+                f"{filters[0]} is a setting of the filter, {papers[0]} one of the paper's equations; leave "
+                "one of the two out"
             )
         shared = ("order", "learning_rate", "use_estimated_states", "history", "missing")
         found = {name: given[name] for name in shared} | old
