@@ -191,7 +191,12 @@ class BlockFilter:
         age, known = n_samples - state.begun, bool(block.known.all())
         after, first = state, Block.joined([state.first, block]) if state.collects else state.first
         if state.rounds and known:
-            after, found = self._learn(state, block, course)
+            try:
+                after, found = self._learn(state, block, course)
+            except DivergenceError:  # these coefficients make the model run away: they are no estimates
+                if state.begun and not state.collects:
+                    raise
+                after = self.begin(state.begun if state.collects else n_samples)
         elif state.rounds:  # inputs that nobody measured: where the model stands is unknown
             after = self._lost(state, block)
         after = after._replace(first=first, n_samples=n_samples)
