@@ -1,4 +1,4 @@
-"""Models on a stream that depend on coefficients: physical effects, or entries of the matrices."""
+"""Models with coefficients: physical effects, or entries of matrices."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ class Family(ABC):
         return theta, covariance
 
     def check(self, first: Block, left: Array) -> None:  # noqa: B027
-        """Warn of what the residual (N, n_y) of the first samples shows; by default of nothing."""
+        """Warn of what the residual (N, n_y) of the first samples shows."""
 
 
 class Effects(Family):
@@ -240,7 +240,7 @@ class Effects(Family):
         return _structure(self, tuple(widths.tolist()))
 
     def prior(self, first: Block, theta: Array | None) -> tuple[Prior, Array]:
-        """Prior from what is declared, from nominal values, or from what moves the outputs."""
+        """Prior: declared, of nominal values, or of what moves the outputs."""
         from ..refinement.refine import refine
 
         data = _bridged(first, self.settings)
@@ -287,7 +287,7 @@ class Effects(Family):
         return estimated(parameter_table(self.bare, ["effect"] * len(self.effects)), theta, spread)
 
     def check(self, first: Block, left: Array) -> None:
-        """Warn if the first samples have a constant part that no effect takes: it distorts the others.
+        """Warn if the first samples have a constant part that no effect takes.
 
         Seen in the mean of the residual, or, where the fit turned it into a slow motion, in that of the
         initial model; then a fit beside an offset must be decisively better.
@@ -325,7 +325,10 @@ class Effects(Family):
 
 
 def _means(left: Array) -> tuple[Array, Array, Array]:
-    """Mean of each row (n_y, N), its standard error in colored noise, and the deviation of the samples."""
+    """Mean of each row, its standard error, and the deviation.
+
+    The standard error is that in colored noise.
+    """
     found = []
     for row in left:
         row = row[np.isfinite(row)]
@@ -367,7 +370,10 @@ def _checked_effects(effects: Sequence[Effect]) -> tuple[Effect, ...]:
 
 
 def _bridged(first: Block, settings: FilterSettings) -> Measurement:
-    """Samples as a record, gaps bridged by straight lines, for starts and sizes only."""
+    """Samples as a record, gaps bridged by straight lines.
+
+    It serves for starts and sizes only.
+    """
     outputs, grid = first.outputs.copy(), np.arange(len(first.outputs))
     for i in range(outputs.shape[1]):
         there = first.use[:, i] > 0
@@ -386,7 +392,7 @@ _UNSEEN = 1e-7  # of the largest change of the response: a direction that change
 
 
 class Entries(Family):
-    """Linear model whose matrices are [A B; C D] plus patterns times coefficients.
+    """Linear model [A B; C D] plus patterns times coefficients.
 
     Parameters
     ----------
@@ -453,7 +459,7 @@ class Entries(Family):
         return self.model.is_continuous and not self.base.is_continuous
 
     def translated(self, theta: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return coefficients and covariance in the given time domain, to first order.
+        """Return coefficients and covariance in the time domain of the model.
 
         What is not learned stays as it is.
         """
@@ -475,13 +481,13 @@ class Entries(Family):
         return tuple(
             EstimatedParameter(
                 name=name, kind=Entry.name, place=name, initial=float(value), value=float(value + change),
-                coefficient=float(change), std=float(std), unit="", role="coefficient",
+                coefficient=float(change), std=float(std), unit="", role=Entry.name,
             )
             for name, value, change, std in zip(self.labels, self.value, theta, spread, strict=True)
         )  # fmt: skip
 
     def discretized(self, theta: Array) -> tuple[Array, Array]:
-        """Return the state equation over one sample, (n, n + 2 n_w), and its derivatives (p, ...).
+        """Return the state equation over one sample, and its derivatives.
 
         Behind the state stand the inputs before and after the sample.
         """
@@ -541,7 +547,7 @@ class Entries(Family):
 
     @cached_property
     def _response_change(self) -> Array:
-        """Change of the initial frequency response by each coefficient, shape (2 K n_y n_w, p)."""
+        """Change of the initial frequency response by each coefficient."""
         n, nw, p = self.base.n_states, self.base.n_inputs, len(self.labels)
         M, dM = self.discretized(self.start())
         # both input columns act as one in a steady sine
@@ -653,7 +659,7 @@ def nonzero_entries(model: LinearModel) -> list[str]:
 
 
 def all_entries(model: LinearModel) -> list[str]:
-    """All entries of A and B, and those of outputs that mix several signals (an acceleration)."""
+    """All entries of A and B, and those of outputs that mix signals."""
     rows = range(model.n_states)
     found = [f"A[{i},{j}]" for i in rows for j in rows]
     return found + [f"B[{i},{j}]" for i in rows for j in range(model.n_inputs)] + _mixed_outputs(model)

@@ -111,7 +111,7 @@ class FilterState(NamedTuple):
     surprised: int
 
 
-class Course(NamedTuple):
+class BlockCourse(NamedTuple):
     """What a filter found at each sample of a block."""
 
     theta: Array  #: (N, p), after the block
@@ -141,7 +141,7 @@ class Update(NamedTuple):
     rows: tuple[Any, ...]  #: sample and output of each
 
 
-storable(FilterState, Course, Block)
+storable(FilterState, BlockCourse, Block)
 
 
 class BlockFilter:
@@ -184,21 +184,12 @@ class BlockFilter:
 
     def step(
         self, state: FilterState, block: Block, *, course: bool = False
-    ) -> tuple[FilterState, Course | None]:
+    ) -> tuple[FilterState, BlockCourse | None]:
         """Return the state after a block, and its course where that is asked for."""
-        found = self.unlearned(state, block) if course else None
         n_samples = state.n_samples + len(block.inputs)
         age, known = n_samples - state.begun, bool(block.known.all())
-        after, first = state, Block.joined([state.first, block]) if state.collects else state.first
-        if state.rounds and known:
-            try:
-                after, found = self._learn(state, block, course)
-            except DivergenceError:  # these coefficients make the model run away: they are no estimates
-                if state.begun and not state.collects:
-                    raise
-                after = self.begin(state.begun if state.collects else n_samples)
-        elif state.rounds:  # inputs that nobody measured: where the model stands is unknown
-            after = self._lost(state, block)
+        after, found = self._taken(state, block, course, known)
+        first = Block.joined([state.first, block]) if state.collects else state.first
         after = after._replace(first=first, n_samples=n_samples)
         # surprises that come again, or a start without inputs: all begins anew with the samples to come
         if after.surprises >= _TIMES or not (known or state.rounds):
@@ -209,6 +200,22 @@ class BlockFilter:
             after = after._replace(first=first.part(0, 0), collects=False)
         return after, found
 
+    def _taken(
+        self, state: FilterState, block: Block, course: bool, known: bool
+    ) -> tuple[FilterState, BlockCourse | None]:
+        """State after a block of which all inputs are known, or not."""
+        found = self.unlearned(state, block) if course else None
+        if not state.rounds:
+            return state, found
+        if not known:  # inputs that nobody measured: where the model stands is unknown
+            return self._lost(state, block), found
+        try:
+            return self._learn(state, block, course)
+        except DivergenceError:  # these coefficients make the model run away: they are no estimates
+            if state.begun and not state.collects:
+                raise
+            return self.begin(state.begun if state.collects else state.n_samples + len(block.inputs)), found
+
     def finish(self, state: FilterState) -> FilterState:
         """Learn from samples that wait for the first fit, however few."""
         if state.rounds or len(state.first.inputs) <= self.n + 2:
@@ -216,7 +223,7 @@ class BlockFilter:
         return self.fit(state, state.first)
 
     def _fit_or_wait(self, state: FilterState, first: Block, age: int) -> FilterState:
-        """Fit the first samples; a fit that runs away is tried again with more of them."""
+        """Fit the first samples, or wait for more where the fit runs away."""
         try:
             return self.fit(state, first)
         except DivergenceError:
@@ -224,7 +231,9 @@ class BlockFilter:
                 raise
             return state
 
-    def _learn(self, state: FilterState, block: Block, course: bool) -> tuple[FilterState, Course | None]:
+    def _learn(
+        self, state: FilterState, block: Block, course: bool
+    ) -> tuple[FilterState, BlockCourse | None]:
         """Learn from a block, unless it is a surprise."""
         n, q, N = self.n, len(state.past.inputs), len(block.inputs)
         found = self.unlearned(state, block) if course else None
@@ -242,11 +251,15 @@ class BlockFilter:
         v = np.where(whole.use > 0, whole.outputs - model.outputs - model.H @ (z - at), np.nan)
         after = state._replace(left=np.concatenate([state.left, v[q:]])[-_RING:], centre=at[n:])
         if course and (again := self._simulate(state, whole, z)) is not None:
-            found = Course(np.tile(z[n:], (N, 1)), again.states[q:], self._ahead(whole, update, state)[q:])
+            found = BlockCourse(
+                np.tile(z[n:], (N, 1)), again.states[q:], self._ahead(whole, update, state)[q:]
+            )
         return self._move_on(after, whole, z, root, (model, at)), found
 
     def _update(self, state: FilterState, whole: Block, use: Flags, kept: float) -> Update | None:
-        """Update by a block: innovations, gain, covariance. None where what was learned does not hold.
+        """Update by a block: innovations, gain, covariance.
+
+        None where what was learned does not hold.
 
         The model is linearized anew until theta stays close to where that was done.
         """
@@ -360,7 +373,10 @@ class BlockFilter:
     # -- pieces --------------------------------------------------------------------------------------
 
     def _simulate(self, state: FilterState, block: Block, z: Array) -> Model | None:
-        """Outputs and states with their derivatives by z, None where the model has no bounds."""
+        """Outputs and states with their derivatives by z.
+
+        None where the simulation leaves all bounds.
+        """
         n, family = self.n, self.family
         structure, settings = family.structure(state.widths), self.settings
         data = Measurement(block.inputs.T, block.outputs.T, dt=settings.dt, hold=settings.hold)
@@ -381,7 +397,7 @@ class BlockFilter:
         return Model(run.outputs.T, H[:, :, self._order], run.states.T, F[:, self._order], run.last.z)
 
     def _centre(self, state: FilterState) -> Array:
-        """Coefficients to linearize about: the last ones, unless theta has moved away."""
+        """Coefficients to linearize about: the last ones if theta is close."""
         theta, size = state.z[self.n :], np.sqrt(np.sum(state.L[self.n :] ** 2, axis=1))
         near = np.all(np.abs(theta - state.centre) <= _SHARE * size)
         return state.centre if near else theta
@@ -437,7 +453,10 @@ class BlockFilter:
         return filters[:, : orders[-1] + 1], np.hypot(scales, _FLOOR * sizes)
 
     def _level(self, state: FilterState, sizes: Array) -> Array:
-        """First guess of the noise: what was declared, what the last fit left, or a share of the outputs."""
+        """First guess of the noise.
+
+        It is what was declared, what the last fit left, or a share of the outputs.
+        """
         if self.settings.noise.any():
             return self.settings.noise
         if not state.rounds:
@@ -446,7 +465,7 @@ class BlockFilter:
         return np.hypot(np.sqrt(np.mean(left**2, axis=0)), _FLOOR * sizes)
 
     def _power(self, state: FilterState, model: Model, use: Flags) -> float:
-        """Information of a sample about the coefficients, over that of their prior."""
+        """Information of a sample about theta, over that of the prior."""
         told = model.H[:, :, self.n :] * state.spread / state.scales[:, None]
         return float(np.sum(told[use] ** 2) / max(use.sum(), 1))
 
@@ -461,7 +480,7 @@ class BlockFilter:
         return np.pad(found, ((0, self.n - len(found)), (0, 0)))
 
     def _reach(self, state: FilterState, first: Block, theta: Array) -> Array:
-        """Sizes of the states, three times as large as what they reach or outputs show."""
+        """Sizes of the states: three times what they reach or outputs show."""
         model = self._simulate(state, first, np.concatenate([np.zeros(self.n), theta]))
         moving = np.zeros(self.n)
         if model is not None:
@@ -505,7 +524,7 @@ class BlockFilter:
         )
 
     def _lost(self, state: FilterState, block: Block) -> FilterState:
-        """Return a state after a block that no longer trusts where the model stands."""
+        """Return a state after a block whose x is as uncertain as at the start."""
         n, whole = self.n, Block.joined([state.past, block])
         # covariance of theta as before, the state as uncertain as at the start
         U, s, _ = np.linalg.svd(state.L[n:], full_matrices=False)
@@ -515,16 +534,16 @@ class BlockFilter:
         L[:n, :n] = np.diag(state.reach)
         return after._replace(L=L)
 
-    def unlearned(self, state: FilterState, block: Block) -> Course:
+    def unlearned(self, state: FilterState, block: Block) -> BlockCourse:
         """Return the course of samples that nothing was learned from."""
         N = len(block.inputs)
-        return Course(
+        return BlockCourse(
             np.tile(state.z[self.n :], (N, 1)), np.tile(state.z[: self.n], (N, 1)),
             np.full((N, self.ny), np.nan),
         )  # fmt: skip
 
     def _ahead(self, whole: Block, update: Update, state: FilterState) -> Array:
-        """Outputs one sample ahead: what the innovations of the sequence leave, NaN in gaps."""
+        """Outputs one sample ahead, NaN in gaps."""
         _, _, _, _, e, A, rows = update
         # S = C C': the k-th entry of C^-1 e is the innovation of row k given the rows before
         C = np.linalg.cholesky(A @ A.T + np.eye(len(A)))
@@ -535,7 +554,10 @@ class BlockFilter:
     # -- results -------------------------------------------------------------------------------------
 
     def covariance(self, state: FilterState) -> Array:
-        """Covariance of the coefficients, shape (p, p); infinite before anything is learned."""
+        """Covariance of the coefficients, shape (p, p).
+
+        It is infinite before anything is learned.
+        """
         if not state.rounds:
             return np.diag(np.full(state.centre.size, np.inf))
         root = state.L[self.n :]
@@ -556,7 +578,7 @@ class BlockFilter:
 
 
 def output_sizes(block: Block) -> Array:
-    """Rms of each output over the samples that were measured; 1 for one that is zero."""
+    """Rms of each output where it was measured; 1 for one that is zero."""
     power = np.sum(np.where(block.use, block.outputs, 0.0) ** 2, axis=0)
     return np.sqrt(
         np.where(power > 0, power, 1.0) / np.where(power > 0, np.maximum(block.use.sum(axis=0), 1), 1.0)
@@ -599,7 +621,9 @@ def _held(root: Array, n: int, spread: Array) -> tuple[Array, Array]:
 
 
 def _forget(L: Array, root: Array, n: int, kept: float) -> Array:
-    """Widening W of the covariance, P = L W W' L', along directions of theta that a block informs of.
+    """Widening W of the covariance, P = L W W' L', to forget.
+
+    It acts along the directions of theta that a block informs of.
 
     A direction that learns little forgets in proportion (Kulhavy, Kybernetika 23 (1987) 1). `root` is that of
     the block's update.
