@@ -108,7 +108,7 @@ def checked_settings(
 
 
 class Prior(NamedTuple):
-    """What is known before the first sample, and where a search may start."""
+    """Prior knowledge of the coefficients, and a start of the search."""
 
     theta: Array  #: (p,), mean of the coefficients
     root: Array  #: (p, q), square root of their covariance; what it does not span is held

@@ -112,7 +112,7 @@ class FilterState(NamedTuple):
 
 
 class BlockCourse(NamedTuple):
-    """What a filter found at each sample of a block."""
+    """Results of a filter at each sample of a block."""
 
     theta: Array  #: (N, p), after the block
     x: Array  #: (N, n), states
@@ -130,7 +130,7 @@ class Model(NamedTuple):
 
 
 class Update(NamedTuple):
-    """What a block changes."""
+    """Update of the filter by a block."""
 
     z: Array  #: (n + p,)
     root: Array  #: (n + p, d), square root of its covariance

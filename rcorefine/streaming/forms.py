@@ -258,7 +258,7 @@ class Forms:
         return replace(state, filters=filters, frozen=tuple(frozen), stretch=nothing, stopped=stopped)
 
     def _freeze(self, state: FormsState, stopped: dict[str, str]) -> list[Frozen]:
-        """Present models of the forms that go on; enter those without a finite one in `stopped`."""
+        """Present models of the forms that go on; others enter `stopped`."""
         frozen = []
         for name in [name for name in self.filters if name not in stopped]:
             model = self._discrete(self._form_system(state, name, name))

@@ -608,7 +608,7 @@ class RCORefiner(Locked, Result):
 
     @property
     def _hold(self) -> str:
-        """How the input runs between samples."""
+        """Hold of the inputs."""
         return str(self._settings.get("hold", "zoh"))
 
     def _name(self) -> str:
@@ -673,16 +673,12 @@ def modern(given: dict[str, Any], old: dict[str, Any]) -> tuple[dict[str, Any], 
         return _papers_settings(given, old, papers[0]), paper_stages
     _check_forms(form, papers)
     line = f"effects={list(effects)!r}" if effects is not None else f"form={form!r}"
-    _outdated(
-        f"use RCORefiner(model, dt=..., {line})"
-        if static != "auto"
-        else f"{', '.join(old)} set stage 1 alone"
-    )
+    _outdated(f"use RCORefiner(model, dt=..., {line})")
     return given | {"effects": effects, "form": form} | old, assembled
 
 
 def _check_forms(form: str, papers: list[str]) -> None:
-    """Refuse settings of the paper's static stage for a form, and the form that is gone."""
+    """Refuse settings of the paper for a form, and the form that is gone."""
     if wrong := [name for name in papers if name in _PAPERS[2:]]:
         raise ct.ControlArgument(f"{wrong[0]} is a setting of the paper's static stage: use RCORefiner.paper")
     if form == "input":
