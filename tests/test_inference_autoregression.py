@@ -166,4 +166,4 @@ def test_each_output_and_record_keeps_its_rows(rng):
     last = blocks[1][1]
     assert rows[-1] == pytest.approx((last[-1] + 0.25 * last[-3]) / 4)
     assert whitener.orders == (1, 2)
-    assert whitener.log_likelihood(50) == pytest.approx(-50 * np.log(8))
+    assert whitener.log_likelihood(blocks) == pytest.approx(-50 * np.log(8))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from ..data.signals import spreads
+from ..data.signals import check_whole, spreads
 from ..data.welch import estimate_frequency_response
 from ..engine.linear import observed
 from ..engine.observer import steady_filter
@@ -178,8 +178,9 @@ def horizon_error(comparison: Comparison, steps: Any = None) -> HorizonError:
     -------
     HorizonError
     """
-    # up to a quarter of the longest free run
     data = comparison.data
+    check_whole(data, "horizon_error")
+    # up to a quarter of the longest free run
     longest = int(max(np.diff([*comparison.starts, data.n_samples])))
     if steps is None:
         steps = np.unique(np.geomspace(1, max(longest // 4, 1), 12).round().astype(int))

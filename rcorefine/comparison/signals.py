@@ -48,11 +48,14 @@ def fit_percent(measured: ArrayLike, simulated: ArrayLike) -> Array:
     y, yh = np.asarray(measured) + 0.0, np.asarray(simulated) + 0.0
     if y.ndim == 0 or y.shape[-1:] != yh.shape[-1:]:
         raise ct.ControlDimension(f"measured has shape {y.shape} and simulated {yh.shape}; time comes last")
-    # norm of the output about its mean
-    spread = np.linalg.norm(y - y.mean(axis=-1, keepdims=True), axis=-1)
-    error = np.linalg.norm(y - yh, axis=-1)
+    # norm of the output about its mean, over the samples that were measured
+    seen = ~np.isnan(y)
+    level = np.mean(y, axis=-1, keepdims=True, where=seen)
+    spread = np.linalg.norm(np.where(seen, y - level, 0.0), axis=-1)
+    error = np.linalg.norm(np.where(seen, y - yh, 0.0), axis=-1)
     # a constant output has no fit
-    moves = (y != y[..., :1]).any(axis=-1)
+    first = np.take_along_axis(y, seen.argmax(axis=-1)[..., None], axis=-1)
+    moves = (seen & (y != first)).any(axis=-1)
     ratio = np.divide(error, spread, out=np.full(error.shape, np.nan), where=moves)
     return np.asarray(100.0 * (1.0 - ratio))
 
@@ -75,12 +78,15 @@ def is_rounding(residual: Array, outputs: Array) -> NDArray[np.bool_]:
 def root_mean_square(residual: ArrayLike) -> Array:
     """Root mean square over time (the last axis), in the unit of the signal.
 
+    NaN stands for samples that were not measured.
+
     Examples
     --------
     >>> float(root_mean_square([3.0, -3.0]))
     3.0
     """
-    return np.asarray(np.sqrt(np.mean(np.square(np.asarray(residual, dtype=float)), axis=-1)))
+    square = np.square(np.asarray(residual, dtype=float))
+    return np.asarray(np.sqrt(np.mean(square, axis=-1, where=~np.isnan(square))))
 
 
 class Correlogram(NamedTuple):

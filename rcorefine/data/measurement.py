@@ -29,7 +29,15 @@ from . import HOLDS
 from .readers import RecordReaders
 from .record import TimeRecord
 from .resampling import decimated
-from .signals import as_signals, as_time_grid, check_finite, check_sizes, default_labels
+from .signals import (
+    as_signals,
+    as_time_grid,
+    check_finite,
+    check_sizes,
+    check_whole,
+    default_labels,
+    over_time,
+)
 
 if TYPE_CHECKING:
     from .frequency_response import FrequencyResponse
@@ -39,7 +47,7 @@ _HELD, _TOP = 0.95, 0.998  # shares of the largest excursion: above them a syste
 _ARRAYS = ("inputs", "outputs", "timepts", "origin")
 _FIELDS = (
     "inputs", "outputs", "dt", "timepts", "hold", "input_labels", "output_labels",
-    "input_units", "output_units", "name", "notes", "origin", "elapsed",
+    "input_units", "output_units", "name", "notes", "origin", "elapsed", "missing",
 )  # fmt: skip
 _FADED = 1e-3  # share of a transient that is as good as gone
 _UNDRIVEN = object()  # in place of inputs: nothing drives the system
@@ -82,6 +90,10 @@ class Measurement(Result, RecordReaders, TimeRecord):
     elapsed : float
         Seconds from where the recording began to the first sample; default 0, and parts keep count. Clocks
         that run apart (`clocks_apart`) agree where it began, whatever the times themselves count from.
+    missing : {"raise", "hold-out"}
+        With "hold-out" outputs may be NaN or masked where they were not measured, one at a time: in a gap,
+        or between the samples of a slow sensor. These samples do not count anywhere, and nothing is
+        interpolated. Inputs must be whole.
 
     Attributes
     ----------
@@ -132,6 +144,7 @@ class Measurement(Result, RecordReaders, TimeRecord):
     notes: tuple[str, ...]
     origin: Array
     elapsed: float
+    missing: str
 
     def __init__(
         self,
@@ -149,7 +162,11 @@ class Measurement(Result, RecordReaders, TimeRecord):
         notes: Sequence[str] = (),
         origin: Any = None,
         elapsed: float = 0.0,
+        missing: str = "raise",
     ) -> None:
+        holds_out = as_choice(missing, "missing", ("raise", "hold-out")) == "hold-out"
+        if holds_out and np.ma.isMaskedArray(outputs):
+            outputs = np.ma.filled(outputs.astype(float), np.nan)
         y = as_signals(outputs, "outputs")
         n_samples = y.shape[1]
         w = np.zeros((0, n_samples)) if inputs is _UNDRIVEN else as_signals(inputs, "inputs")
@@ -165,7 +182,7 @@ class Measurement(Result, RecordReaders, TimeRecord):
         y_labels = as_labels(output_labels, "output_labels", default_labels("y", y.shape[0]))
         step, times = as_time_grid(dt, timepts, n_samples)
         check_finite(w, w_labels, times, "input")
-        check_finite(y, y_labels, times, "output")
+        check_finite(np.where(np.isnan(y), 0.0, y) if holds_out else y, y_labels, times, "output")
         check_sizes(w, w_labels, "input")
         check_sizes(y, y_labels, "output")
         count = w.shape[0] + y.shape[0]
@@ -178,7 +195,7 @@ class Measurement(Result, RecordReaders, TimeRecord):
         passed = as_number(elapsed, "elapsed", what="a time in seconds")
         values = (
             w, y, step, times, hold, w_labels, y_labels, w_units, y_units, name or "measured", said, taken,
-            passed,
+            passed, missing,
         )  # fmt: skip
         for field, value in zip(_FIELDS, values, strict=True):
             object.__setattr__(self, field, value)
@@ -194,6 +211,7 @@ class Measurement(Result, RecordReaders, TimeRecord):
         output_units: str | Sequence[str] | None = None,
         name: str | None = None,
         release: float | None = None,
+        missing: str = "raise",
     ) -> Self:
         """Make a record of a free decay.
 
@@ -215,6 +233,8 @@ class Measurement(Result, RecordReaders, TimeRecord):
         release : float, optional
             Time of the release in s. What is before it is left out, and `notes` says so. By default it is
             found: the end of the first excursion that comes within 5 % of the largest.
+        missing : {"raise", "hold-out"}
+            As in `Measurement`.
 
         Returns
         -------
@@ -234,7 +254,7 @@ class Measurement(Result, RecordReaders, TimeRecord):
         0
         """
         options: dict[str, Any] = {"output_labels": output_labels, "output_units": output_units, "name": name}
-        whole = cls(_UNDRIVEN, outputs, dt=dt, timepts=timepts, **options)
+        whole = cls(_UNDRIVEN, outputs, dt=dt, timepts=timepts, missing=missing, **options)
         if release is None:
             first = released(whole.outputs)
         else:
@@ -494,7 +514,7 @@ class Measurement(Result, RecordReaders, TimeRecord):
         for level, rows, old, name in zip(
             (inputs, outputs), (self.inputs, self.outputs), was, ("inputs", "outputs"), strict=True
         ):
-            new = rows.mean(axis=1) + old if level is None else as_vector(level, name, old.size)
+            new = over_time(np.mean, rows) + old if level is None else as_vector(level, name, old.size)
             parts.append((rows + (old - new)[:, None], new))
         (w, above), (y, over) = parts
         return self._changed(inputs=w, outputs=y, origin=np.concatenate([above, over]))
@@ -515,6 +535,7 @@ class Measurement(Result, RecordReaders, TimeRecord):
         >>> data.detrend().outputs.round(6)
         array([[ 0.5, -1. ,  0.5]])
         """
+        check_whole(self, "detrend")
         w, y = (detrend(rows) if rows.size else rows for rows in (self.inputs, self.outputs))
         return self._changed(inputs=w, outputs=y, notes=(*self.notes, "mean and linear trend removed"))
 
@@ -569,6 +590,7 @@ class Measurement(Result, RecordReaders, TimeRecord):
                 f"the record has {self.n_samples} samples; the filter needs more than {3 * cut}, since it "
                 f"spoils {cut} at either end"
             )
+        check_whole(self, "filter")
         sos = zpk2sos(zeros, poles, gain)
         w, y = (sosfiltfilt(sos, rows) if rows.size else rows for rows in (self.inputs, self.outputs))
         said = f"{kind} filter of order {order}, {' to '.join(f'{e:.4g}' for e in edges)} rad/s, zero phase"
@@ -650,7 +672,8 @@ class Measurement(Result, RecordReaders, TimeRecord):
         fields = ("input_labels", "output_labels", "input_units", "output_units", "notes")
         both = {field: (*getattr(self, field), *getattr(other, field)) for field in fields}
         w, y = np.vstack([self.inputs, other.inputs]), np.vstack([self.outputs, other.outputs])
-        return self._changed(**both, inputs=w, outputs=y, origin=np.concatenate(origin))
+        missing = max(self.missing, other.missing, key=("raise", "hold-out").index)
+        return self._changed(**both, missing=missing, inputs=w, outputs=y, origin=np.concatenate(origin))
 
     def decimate(self, factor: int) -> Self:
         """Every `factor`-th sample, behind a filter that keeps the model true.
@@ -690,6 +713,7 @@ class Measurement(Result, RecordReaders, TimeRecord):
         (0.005, True)
         """
         as_whole(factor, "factor", least=2, most=10_000)
+        check_whole(self, "decimate")
         found = decimated(self.inputs, self.outputs, self.dt, self.timepts, self.hold, int(factor))
         kept = {"notes": (*self.notes, *found.notes), "elapsed": self.elapsed + found.elapsed}
         return self._changed(**found._asdict() | kept)
@@ -748,8 +772,8 @@ def released(outputs: Array) -> int:
     It is the end of the first large excursion of any output. Excursions are measured from the median of the
     last fifth, relative to the largest one of that output.
     """
-    rest = np.median(outputs[:, -max(outputs.shape[1] // 5, 1) :], axis=1, keepdims=True)
-    away = np.abs(outputs - rest)
+    rest = over_time(np.median, outputs[:, -max(outputs.shape[1] // 5, 1) :])
+    away = np.nan_to_num(np.abs(outputs - rest[:, None]))  # a missing sample is no excursion
     firsts = []
     for row in away[away.any(axis=1)]:
         held = row >= _HELD * row.max()

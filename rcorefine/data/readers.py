@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from os import PathLike
 from pathlib import Path
@@ -71,7 +71,8 @@ class RecordReaders:
             Names of all columns, for a file without a header line.
         **options
             `hold`, `input_labels`, `output_labels`, `input_units`,
-            `output_units`, `name` as in `Measurement`.
+            `output_units`, `name`, `missing` as in `Measurement`. With ``missing="hold-out"`` empty cells of
+            outputs are samples that were not measured.
 
         Returns
         -------
@@ -105,7 +106,8 @@ class RecordReaders:
         >>> rco.Measurement.from_csv(path, "U", "n", time="t", dt=0.1).n_samples  # the clock jitters
         6
         """
-        reader = partial(read_csv, delimiter=delimiter, decimal=decimal, header=header)
+        kept = _may_be_blank(outputs, options)
+        reader = partial(read_csv, delimiter=delimiter, decimal=decimal, header=header, blank=kept)
         return cls._read(reader, path, inputs, outputs, time=time, dt=dt, **options)
 
     @classmethod
@@ -275,7 +277,8 @@ class RecordReaders:
         if dated and options.get("time") is None and options.get("dt") is None:
             options["time"] = str(index.name or "time")
             frame = frame.reset_index(names=options["time"])
-        return cls._read(read_frame, frame, inputs, outputs, **options)
+        reader = partial(read_frame, blank=_may_be_blank(outputs, options))
+        return cls._read(reader, frame, inputs, outputs, named=False, **options)
 
     @classmethod
     def from_response(
@@ -562,16 +565,17 @@ class RecordReaders:
         *,
         time: str | None = None,
         dt: float | None = None,
+        named: bool = True,
         **options: Any,
     ) -> Self:
         """Make the record of named columns, with their units and notes.
 
-        Arguments are checked before a file is opened. The record of a file has its name.
+        Arguments are checked before a file is opened. The record of a file has its name (`named`).
         """
         w_names, y_names = names_of(inputs, "inputs"), names_of(outputs, "outputs")
         times = None if time is None else as_text(time, "time")
         cls._check(len(w_names), len(y_names), dt, options)
-        if reader is not read_frame:
+        if named:
             source = as_path(source)
             options = {"name": Path(source).stem} | options
         wanted = list(dict.fromkeys((*w_names, *y_names, *(() if times is None else (times,)))))
@@ -594,6 +598,11 @@ class RecordReaders:
         if stamps is not None and dt is not None and is_irregular(stamps):
             return cls.from_timestamps(stamps, w, y, dt=dt, **(own | options))
         return cls(w, y, dt=dt, timepts=stamps, **(own | options))
+
+
+def _may_be_blank(outputs: Any, options: Mapping[str, Any]) -> Sequence[str]:
+    """Return the columns in which values may be missing."""
+    return names_of(outputs, "outputs") if options.get("missing") == "hold-out" else ()
 
 
 def _in_seconds(stamps: Any, column: str, unit: str | None) -> tuple[Any, tuple[str, ...]]:

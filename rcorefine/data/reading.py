@@ -32,6 +32,7 @@ def read_record(
     dt: float | None = None,
     hold: str = "zoh",
     decimal: str | None = None,
+    missing: str = "raise",
 ) -> Measurement:
     r"""Read a record from a file, with the columns that a model needs.
 
@@ -52,6 +53,8 @@ def read_record(
         As `Measurement`.
     decimal : {".", ","}, optional
         Decimal mark of a text file; by default what its columns show.
+    missing : {"raise", "hold-out"}
+        Whether empty cells of outputs are refused, or left out as samples that were not measured.
 
     Returns
     -------
@@ -102,6 +105,7 @@ def read_record(
         hold=hold,
         input_labels=sides["input"].labels,
         output_labels=sides["output"].labels,
+        missing=missing,
         **text,
     )
     # units of the file, and the model's where the file has none

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..systems.linear import Array
 
@@ -24,10 +25,13 @@ class TimeRecord:
         What is to be said of the noise.
     n_balances : int
         Given frequencies at which nonlinear effects need a harmonic balance.
+    there : ndarray of bool, shape (n_y, N), or None
+        Output samples that were measured, None for all.
     """
 
     __slots__ = ()
     inputs: Array
+    outputs: Array
 
     in_time: ClassVar[bool] = True
     shortest: ClassVar[int] = 36
@@ -43,6 +47,12 @@ class TimeRecord:
         model, for noise.
         """
         return None if np.ptp(self.inputs, axis=1).any() else 1
+
+    @property
+    def there(self) -> NDArray[np.bool_] | None:
+        """Output samples that were measured, shape (n_y, N), None for all."""
+        found = ~np.isnan(self.outputs)
+        return None if found.all() else found
 
     @property
     def n_points(self) -> int:
@@ -61,6 +71,7 @@ class FrequencyRecord:
     in_time: ClassVar[bool] = False
     shortest: ClassVar[int] = 60
     color: ClassVar[int] = 0
+    there: ClassVar[None] = None
 
     @property
     def n_points(self: Any) -> int:

@@ -121,7 +121,7 @@ def amplitude(record: Measurement) -> float:
     If no input changes, it is that of the outputs.
     """
     signals = record.outputs if at_rest([record]) else record.inputs
-    return float(np.sqrt(np.mean(signals**2)))
+    return float(np.sqrt(np.nanmean(signals**2)))
 
 
 def stretches_by_level(data: Measurement) -> list[tuple[float, Measurement]]:

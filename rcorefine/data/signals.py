@@ -6,7 +6,7 @@ Every error message names the problem, its position and the remedy.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -89,7 +89,7 @@ SMALLEST, LARGEST = 1e-70, 1e70
 
 def check_sizes(signals: Array, labels: Sequence[str], what: str, smallest: float = SMALLEST) -> None:
     """Refuse a signal whose square is no number."""
-    for label, size in zip(labels, np.abs(signals).max(axis=1, initial=0.0), strict=True):
+    for label, size in zip(labels, np.fmax.reduce(np.abs(signals), axis=1, initial=0.0), strict=True):
         if size and not smallest <= size < LARGEST:
             raise DataError(
                 f"{what} {label!r} reaches {size:.3g}, whose square is no number; give it in another unit"
@@ -107,9 +107,49 @@ def spreads(signals: Array) -> Array:
     >>> print(spreads(np.array([[1.0, -1.0], [0.1, 0.1], [0.0, 0.0]])))
     [1.  0.1 1. ]
     """
-    size, level = signals.std(axis=1), np.abs(signals).max(axis=1)
+    size, level = over_time(np.std, signals), over_time(np.max, np.abs(signals))
     found: Array = np.where(size > 8 * np.spacing(level), size, level) + (level == 0)
-    return found
+    return np.nan_to_num(found, nan=1.0)  # a signal without any sample
+
+
+def over_time(figure: Callable[..., Any], signals: Array) -> Array:
+    """Return a figure of each signal (n, N), over the samples that are there.
+
+    It is NaN for a signal that has none.
+
+    Examples
+    --------
+    >>> print(over_time(np.mean, np.array([[1.0, np.nan, 3.0], [0.0, 1.0, 2.0]])))
+    [2. 1.]
+    """
+    gone = np.isnan(signals)
+    if not gone.any():
+        return np.asarray(figure(signals, axis=1))
+    rows = [row[~gaps] for row, gaps in zip(signals, gone, strict=True)]
+    return np.array([figure(row, axis=0) if row.size else np.nan for row in rows])
+
+
+def measured(blocks: Iterable[Iterable[Any]]) -> int:
+    """Return the number of samples that were measured."""
+    return sum(int(np.count_nonzero(~np.isnan(row))) for block in blocks for row in block)
+
+
+def difference(simulated: Array, measured: Array) -> Array:
+    """Return simulated minus measured outputs, zero where none were measured."""
+    error = simulated - measured
+    error[np.isnan(measured)] = 0.0
+    return error
+
+
+def check_whole(data: Any, purpose: str) -> None:
+    """Refuse a record with gaps, and name the first one."""
+    if data.there is None:
+        return
+    row, sample = (int(first[0]) for first in np.nonzero(~data.there))
+    raise DataError(
+        f"{purpose} needs all samples; output {data.output_labels[row]!r} has none at sample {sample} "
+        f"(t = {data.timepts[sample]:.6g} s). Use a stretch without gaps (segment)"
+    )
 
 
 def check_finite(signals: Array, labels: Sequence[str], times: Array | None, what: str) -> None:
@@ -124,6 +164,7 @@ def check_finite(signals: Array, labels: Sequence[str], times: Array | None, wha
     raise DataError(
         f"{what} {labels[row]!r} is {'NaN' if np.isnan(value) else 'Inf'} at {place}; "
         f"{count} of {signals.shape[1]} samples are not finite. Repair them, or use a stretch without them"
+        + (", or leave NaN out with missing='hold-out'" if what == "output" and np.isnan(value) else "")
     )
 
 

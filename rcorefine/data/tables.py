@@ -130,6 +130,7 @@ def read_csv(
     delimiter: str | None = None,
     decimal: str | None = None,
     header: Sequence[str] | None = None,
+    blank: Sequence[str] = (),
 ) -> FileColumns:
     """Named columns of a text file.
 
@@ -141,6 +142,8 @@ def read_csv(
         Columns to read; the others are not looked at.
     delimiter, decimal, header
         As in `Measurement.from_csv`.
+    blank : sequence of str
+        Columns whose empty cells are NaN.
 
     Returns
     -------
@@ -173,7 +176,7 @@ def read_csv(
     rest = layout._replace(places={k: place for k, place in layout.places.items() if k not in clocks})
     table = _by_numpy(body, rest) if rest.places else ()
     if table is None:
-        table = np.array(list(_by_line(body, rest, here))).T.copy()
+        table = np.array(list(_by_line(body, rest, here, blank))).T.copy()
     read = clocks | dict(zip(rest.places, table, strict=True))
     said = f"{Path(path).name}: " + "; ".join((layout.text, *notes, *told))
     units = layout.units | dict.fromkeys(clocks, "s")
@@ -441,7 +444,7 @@ def _widest(body: list[str], delimiter: str) -> float:
     return max(line.count(delimiter) for line in body) + 1
 
 
-def _by_line(body: list[str], layout: _Layout, here: str) -> Iterator[list[float]]:
+def _by_line(body: list[str], layout: _Layout, here: str, blank: Sequence[str]) -> Iterator[list[float]]:
     """Yield the numbers of the requested columns, line by line.
 
     An error describes the first line that is wrong.
@@ -458,13 +461,18 @@ def _by_line(body: list[str], layout: _Layout, here: str) -> Iterator[list[float
         row += [""] * layout.width
         yield [
             _number(row[index].strip(), f"{here} {line}, column {name!r} ({index + 1})", layout.decimal)
+            if row[index].strip() or name not in blank
+            else np.nan
             for name, index in layout.places.items()
         ]
 
 
 def _number(cell: str, place: str, decimal: str) -> float:
     if cell == "":
-        raise DataError(f"{place} is missing; fill the gap or cut the file before it")
+        raise DataError(
+            f"{place} is missing; fill the gap, cut the file before it, or, in an output, leave such samples "
+            "out with missing='hold-out'"
+        )
     other = "." if decimal == "," else ","
     if _NUMBER.fullmatch(cell) and other not in cell:
         return float(cell.replace(decimal, "."))
@@ -476,10 +484,11 @@ def _number(cell: str, place: str, decimal: str) -> float:
     raise DataError(f"{place} is not a number: {cell!r}{hint}")
 
 
-def read_frame(frame: Any, names: Sequence[str]) -> FileColumns:
+def read_frame(frame: Any, names: Sequence[str], blank: Sequence[str] = ()) -> FileColumns:
     """Read named columns of a data frame.
 
-    A data frame is one of pandas, or any object with columns and to_numpy.
+    A data frame is one of pandas, or any object with columns and to_numpy. In columns that `blank` names
+    a value may be missing; it is NaN.
 
     Raises
     ------
@@ -502,12 +511,13 @@ def read_frame(frame: Any, names: Sequence[str]) -> FileColumns:
     for name, at in _places(names, _column_names(frame), "the data frame").items():
         column = frame.iloc[:, at] if hasattr(frame, "iloc") else frame[frame.columns[at]]
         missing = np.asarray(column.isna()) if hasattr(column, "isna") else np.zeros(len(column), dtype=bool)
-        if missing.any():
+        if missing.any() and name not in blank:
             raise DataError(
                 f"column {name!r} is missing at row {int(np.argmax(missing))} of the data frame "
-                f"({int(missing.sum())} rows); fill the gaps or drop a stretch"
+                f"({int(missing.sum())} rows); fill the gaps or drop a stretch (missing='hold-out' leaves "
+                "them out in outputs)"
             )
-        columns[name] = column.to_numpy()
+        columns[name] = column.to_numpy(float, na_value=np.nan) if missing.any() else column.to_numpy()
     return FileColumns(columns)
 
 

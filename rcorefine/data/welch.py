@@ -17,6 +17,7 @@ from ..arguments import as_number, shown
 from ..exceptions import DataError
 from ..systems.linear import Array
 from .frequency_response import FrequencyResponse
+from .signals import check_whole
 
 if TYPE_CHECKING:
     from .measurement import Measurement
@@ -95,6 +96,7 @@ def estimate_frequency_response(
         "noverlap": shared,
         "detrend": "constant",
     }
+    check_whole(data, "frequency_response")
     w, y = data.inputs, data.outputs
     # scipy's csd(a, b) is the mean of conj(A) B; leading axis frequency for the batched solves
     frequency, cross = signal.csd(w[None, :, :], y[:, None, :], **welch)

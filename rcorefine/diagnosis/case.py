@@ -12,6 +12,7 @@ import numpy as np
 from ..data.measurement import Measurement
 from ..data.records import at_rest
 from ..data.response_record import ResponseRecord, some_lines
+from ..data.signals import over_time
 from ..effects.effect import Effect
 from ..effects.law import KINDS
 from ..engine.amplitude_response import is_linear
@@ -160,7 +161,7 @@ class Case:
         if self.settings["noise"] is None and not all(record.known for record in self.ordered):
             return 0.0
         residual = np.hstack(fitted.residuals())
-        return float(np.sqrt(np.mean(residual**2, axis=1)).max())
+        return float(np.sqrt(over_time(np.mean, residual**2)).max())
 
     def passes(self, tests: Sequence[FTest], fitted: FittedModel) -> bool:
         """Return whether the residual of a model is noise.
@@ -170,9 +171,9 @@ class Case:
         # residual in weighted units against the numerical error of the simulation
         left, records = np.hstack(fitted.residuals()), fitted.problem.records
         whole = fitted.problem.weights[:, None] * np.hstack([r.outputs for r in records])
-        whole = whole - self.in_time * whole.mean(axis=1, keepdims=True)
+        whole = whole - self.in_time * over_time(np.mean, whole)[:, None]
         least = RESOLUTION if self.in_time else _SOLVED
-        if (np.sum(left**2, axis=1) <= least**2 * np.sum(whole**2, axis=1)).all():
+        if (np.nansum(left**2, axis=1) <= least**2 * np.nansum(whole**2, axis=1)).all():
             return True
         return passes(tests, self.excess(fitted), self.significance, self.levels)
 
@@ -360,6 +361,7 @@ def no_motion(records: Sequence[Measurement]) -> str:
     # an output that hardly takes more than one value does not move
     for i, label in enumerate(labels):
         y = np.concatenate([record.outputs[i] for record in records])
+        y = y[~np.isnan(y)]
         least = 1e-9 * max(float(np.abs(y).max()), 1e-300)
         moving = np.abs(np.diff(y)) > least
         if not moving.any() or (np.unique(np.round(y / least)).size <= _FEW_LEVELS and moving.mean() < 0.05):
@@ -548,10 +550,10 @@ def moving(record: Measurement) -> Measurement:
         return record
     y, length = record.outputs, max(record.n_samples // 50, 4)
     # noise from second differences, robust
-    noise = np.median(np.abs(np.diff(y, 2, axis=1)), axis=1) / (0.6745 * np.sqrt(6.0))
+    noise = over_time(np.median, np.abs(np.diff(y, 2, axis=1))) / (0.6745 * np.sqrt(6.0))
     pieces = np.array_split(np.arange(record.n_samples), record.n_samples // length)
     # the last piece in which an output moves clearly beyond its noise
-    alive = [bool((np.ptp(y[:, piece], axis=1) > _DEAD * noise).any()) for piece in pieces]
+    alive = [bool((over_time(np.ptp, y[:, piece]) > _DEAD * noise).any()) for piece in pieces]
     last = int(pieces[max(np.flatnonzero(alive), default=-1)][-1]) + 1
     return record if last == record.n_samples else record._part(slice(0, last))
 

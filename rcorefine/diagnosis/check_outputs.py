@@ -18,6 +18,7 @@ from scipy.signal import correlate
 from ..comparison.result import Comparison
 from ..data.measurement import Measurement
 from ..data.records import clipped, coarse_noise, resolution
+from ..data.signals import over_time
 from ..inference.f_tests import project, rank_basis
 from ..inference.whitening import autoregression
 from ..models.operating_point import OperatingPoint
@@ -84,18 +85,23 @@ def gain_rows(compared: Comparison, units: Sequence[str]) -> Iterator[CheckRow]:
     """
     data, linear = compared.data, compared.models[0]
     free = settling(linear, data.dt, [*compared.starts, data.n_samples])
-    for i, (label, y) in enumerate(zip(data.output_labels, data.outputs, strict=True)):
+    ends = np.cumsum([part.shape[1] for part in free])[:-1]
+    for i, (label, signal) in enumerate(zip(data.output_labels, data.outputs, strict=True)):
+        known = ~np.isnan(signal)
+        y, simulated = signal[known], compared.runs[0, i, known]
         # what an initial state adds is fitted beside the gain: with a wrong gain its estimate is wrong too
-        begun = zip(free, compared.initial_states[0], strict=True)
-        settled = np.concatenate([part[i] @ x0 for part, x0 in begun])
-        run = compared.runs[0, i] - settled
-        least = _MOVED * float(np.linalg.norm(run) + np.linalg.norm(settled))
-        found = _gain(y, run, [np.column_stack([part[i], np.ones(len(part[i]))]) for part in free], least)
+        motions = zip(free, compared.initial_states[0], strict=True)
+        settled = np.concatenate([part[i] @ x0 for part, x0 in motions])
+        run = simulated - settled[known]
+        least = _MOVED * float(np.linalg.norm(run) + np.linalg.norm(settled[known]))
+        begun = [part[i, mine] for part, mine in zip(free, np.split(known, ends), strict=True)]
+        nuisances = [np.column_stack([part, np.ones(len(part))]) for part in begun]
+        found = _gain(y, run, nuisances, least, y.size == signal.size)
         if not np.ptp(y) or found is None:
             continue
         declared = (data.output_units[i], units[i] if units else "")
         yield from _unit_row(found, data, i, declared[1])
-        bent = _bent_row(label, y, compared.runs[0, i], data.inputs, free[0][i])
+        bent = _bent_row(label, y, simulated, data.inputs[:, known], begun[0])
         if bent is not None:  # gain and delay would only follow from that
             yield bent
             continue
@@ -103,7 +109,7 @@ def gain_rows(compared: Comparison, units: Sequence[str]) -> Iterator[CheckRow]:
         yield from _gain_row(label, found, *declared)
         if abs(found.correlation) >= _RELATED:
             if len(free) == 1:  # where a model integrates, an initial state is an offset
-                yield from _drift_row(label, found.left, y, data.timepts)
+                yield from _drift_row(label, found.left, y, data.timepts[known])
             yield from _spike_row(label, found.left, max(resolution(y), _SMALL * float(y.std())))
 
 
@@ -119,12 +125,13 @@ def settling(linear: LinearModel, dt: float, edges: list[int]) -> list[Array]:
     return [whole[:, : j - i] for i, j in pairwise(edges)]
 
 
-def _gain(y: Array, run: Array, nuisances: list[Array], least: float) -> _Gain | None:
+def _gain(y: Array, run: Array, nuisances: list[Array], least: float, whole: bool) -> _Gain | None:
     """Fit the gain of the record relative to the simulation.
 
     This is a least-squares fit together with the free responses. The standard error comes from the spread
     over blocks, so the noise may be colored. None where the inputs move the run by less than `least`. A delay
-    may not turn the sign that the record has without it, where it has one.
+    may not turn the sign that the record has without it, where it has one. It is looked for in signals that
+    are whole.
     """
     n = y.size
     ends = np.cumsum([len(part) for part in nuisances])[:-1]
@@ -139,7 +146,7 @@ def _gain(y: Array, run: Array, nuisances: list[Array], least: float) -> _Gain |
         return None
     # cross-correlation over lags up to a tenth of the record
     both = correlate(b, a, mode="full", method="fft") / (np.linalg.norm(a) * np.linalg.norm(b) or 1.0)
-    reach = min(n // 10, 200)
+    reach = min(n // 10, 200) * whole
     near = both[n - 1 - reach : n + reach]
     now = float(near[reach])
     best = int(np.argmax(np.abs(near) if abs(now) < _RELATED else np.sign(now) * near)) - reach
@@ -378,7 +385,7 @@ def level_rows(
         One on each output that does not go with the model or its point; where all do, one on all.
     """
     taken = data.origin[data.n_inputs :]
-    means, spreads = data.outputs.mean(axis=1) + taken, data.outputs.std(axis=1)
+    means, spreads = over_time(np.mean, data.outputs) + taken, over_time(np.std, data.outputs)
     run = None if compared is None or compared.led else compared
     levels = {} if run is None else dict(_unexplained(run))
     # where a model integrates, its level is that of its initial state: any level goes with it
@@ -433,12 +440,17 @@ def _constant_rows(
 
 def _mean_row(data: Measurement, free: bool) -> CheckRow:
     """Return the row on the means of outputs in which nothing is odd."""
-    if not any(_stands(y.mean(), _error(y, y.size), y.std()) for y in data.outputs):
+    if not any(_stands(y.mean(), _error(y, y.size), y.std()) for y in _measured(data.outputs)):
         said = "The means of the outputs are about zero, as those of deviations from an operating point."
         return CheckRow(OK, "level", "", "about zero", said)
     said = "the model explains them." if free else "no simulation shows whether the model explains them."
     figure = "by the model" if free else "not zero"
     return CheckRow(OK, "level", "", figure, f"The outputs have nonzero means, and {said}")
+
+
+def _measured(outputs: Array) -> list[Array]:
+    """Return the samples of each output that were measured."""
+    return [y[~np.isnan(y)] for y in outputs]
 
 
 def _stands(level: float, error: float, spread: float) -> bool:
@@ -455,17 +467,19 @@ def _unexplained(compared: Comparison) -> Iterator[tuple[str, tuple[float, float
     """
     data = compared.data
     (free,) = settling(compared.models[0], data.dt, [0, data.n_samples])
-    for i, (label, y) in enumerate(zip(data.output_labels, data.outputs, strict=True)):
+    for i, (label, y) in enumerate(zip(data.output_labels, _measured(data.outputs), strict=True)):
+        known = ~np.isnan(data.outputs[i])
+        begun = free[i, known]
         # what an initial state adds is fitted beside the level, which its estimate took up in part
-        run = compared.runs[0, i] - free[i] @ compared.initial_states[0][0]
-        others = rank_basis(np.column_stack([run, free[i]]))
+        run = compared.runs[0, i, known] - begun @ compared.initial_states[0][0]
+        others = rank_basis(np.column_stack([run, begun]))
         own, left = project(np.ones(y.size), others), project(y, others)
         seen = float(own @ own)  # samples that tell the level from the rest
         found = 0.0, np.inf, float(y.std())
         if seen > _LEVEL_TELLS * y.size and np.ptp(y):
             level = float(own @ left) / seen
             found = level, _error(left - level * own, seen), found[2]
-        alone = project(np.ones(y.size), rank_basis(free[i]))
+        alone = project(np.ones(y.size), rank_basis(begun))
         yield label, found if alone @ alone > _LEVEL_TELLS * y.size else None
 
 

@@ -165,11 +165,11 @@ def signal_rows(data: Measurement) -> Iterator[CheckRow]:
     ------
     CheckRow
     """
-    outputs = list(zip(data.output_labels, data.outputs, strict=True))
+    outputs = [(label, y[~np.isnan(y)]) for label, y in zip(data.output_labels, data.outputs, strict=True)]
     inputs = list(zip(data.input_labels, data.inputs, strict=True))
     # signals that never change
     still = [label for label, row in (*inputs, *outputs) if np.ptp(row) == 0]
-    whole = set(data.input_labels) <= set(still) and not data.outputs.std(axis=1).any()
+    whole = set(data.input_labels) <= set(still) and not any(y.std() for _, y in outputs)
     for label in still:
         yield CheckRow(
             STOP if whole or label in data.output_labels else LOOK, "motion", label, "constant",
@@ -178,7 +178,8 @@ def signal_rows(data: Measurement) -> Iterator[CheckRow]:
     if not still:
         moving = f"{len(inputs) + len(outputs)} signals move"
         yield CheckRow(OK, "motion", "", moving, "Every signal changes over the record.")
-    yield from _repeated([(label, row) for label, row in (*inputs, *outputs) if label not in still])
+    every = zip((*data.input_labels, *data.output_labels), (*data.inputs, *data.outputs), strict=True)
+    yield from _repeated([(label, row) for label, row in every if label not in still])
     for signals, rows in ((outputs, _output_rows), (inputs, _input_rows)):
         for label, row in signals:
             if label not in still:
@@ -186,9 +187,13 @@ def signal_rows(data: Measurement) -> Iterator[CheckRow]:
 
 
 def _repeated(signals: Sequence[tuple[str, Array]]) -> Iterator[CheckRow]:
-    for (one, a), (other, b) in combinations([(label, row - row.mean()) for label, row in signals], 2):
+    for (one, first), (other, second) in combinations(signals, 2):
+        known = ~np.isnan(first + second)
+        if not known.all() and np.count_nonzero(known) < Measurement.shortest:
+            continue
         # correlation of 1: the same signal
-        like = float(a @ b) / float(np.linalg.norm(a) * np.linalg.norm(b))
+        a, b = (row[known] - row[known].mean() for row in (first, second))
+        like = float(a @ b) / (float(np.linalg.norm(a) * np.linalg.norm(b)) or 1.0)
         if abs(like) > _SAME:
             yield CheckRow(
                 LOOK, "repeated", f"{one}, {other}", f"correlation {like:.3g}",
@@ -375,7 +380,8 @@ def feedback_rows(compared: Comparison) -> Iterator[CheckRow]:
     """
     data = compared.data
     residuals = data.outputs - compared.runs[0]
-    shown = np.flatnonzero(~is_rounding(residuals, data.outputs))
+    # residuals in which nothing is missing, for the lags
+    shown = np.flatnonzero(~is_rounding(residuals, data.outputs) & ~np.isnan(residuals).any(axis=1))
     # where the input of a sample already shows in its output, only earlier residuals are past
     at_once = data.hold != "zoh" or bool(compared.models[0].D.any())
     tested = False

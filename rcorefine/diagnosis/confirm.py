@@ -15,6 +15,7 @@ import numpy as np
 from ..arguments import as_mapping, as_number, as_share, as_vector
 from ..data.measurement import Measurement
 from ..data.records import amplitude, as_records
+from ..data.signals import over_time
 from ..effects.effect import Effect, as_effects
 from ..engine.observer import observer_gain
 from ..engine.simulation import check_channels
@@ -227,7 +228,7 @@ def _change(alone: _Alone, off: Array) -> float:
         return 0.0
     rise = float(off[known] @ pseudo_inverse(C[np.ix_(known, known)])[0] @ off[known])
     problem = tested.fitted.problem
-    spread = np.hstack([record.outputs for record in problem.records]).std(axis=1)
+    spread = over_time(np.std, np.hstack([record.outputs for record in problem.records]))
     sizes = tested.whitener.scales / problem.weights / np.where(spread > 0, spread, np.inf)
     return float(sizes.max() * np.sqrt(rise / max(tested.residual.size, 1)))
 
@@ -274,7 +275,7 @@ def _mean_of(record: Measurement, label: str) -> float:
         raise ct.ControlArgument(
             f"scales_with names the signal {label!r}; record {record.name!r} has {', '.join(labels)}"
         )
-    return float(np.concatenate([record.inputs, record.outputs])[labels.index(label)].mean())
+    return float(np.nanmean(np.concatenate([record.inputs, record.outputs])[labels.index(label)]))
 
 
 def _what(rows: Sequence[EstimatedParameter], scaled: Mapping[str, Any] | None) -> str:

@@ -10,12 +10,14 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from ..arguments import as_noise
 from ..data.channels import match_channels, record_for, with_outputs
 from ..data.measurement import Measurement
 from ..data.records import runs
+from ..data.signals import over_time
 from ..effects.effect import Effect
 from ..engine.simulation import simulate
 from ..exceptions import DataError, DivergenceError
@@ -128,7 +130,7 @@ def check_moving(records: Sequence[Any], where: Sequence[str]) -> None:
 
     The message names `where`: outputs, or a record.
     """
-    if all(record.in_time and not np.ptp(record.outputs, axis=1).any() for record in records):
+    if all(record.in_time and not over_time(np.ptp, record.outputs).any() for record in records):
         raise DataError(f"no output ever changes ({', '.join(where)}); check sensors and cables")
 
 
@@ -158,14 +160,16 @@ def _dead(model: PhysicalModel, records: Sequence[Measurement]) -> dict[int, str
 def _fault(model: PhysicalModel, data: Measurement, index: int) -> str:
     """Return the reason why an output shows nothing, or an empty string."""
     y = data.outputs[index]
-    if np.ptp(y) == 0:
+    known = ~np.isnan(y)
+    if not np.any(np.ptp(y[known]) if known.any() else 0):
         return "it never changes"
-    said = _stuck(y)
+    said = _stuck(y[known], np.flatnonzero(known))
     if said or y.size <= 5 * _LAGS:
         return said
     # correlated neither with an input nor with the simulation, while other outputs are
     driving = [w for w in data.inputs if np.ptp(w) > 0]
-    others = [row for i, row in enumerate(data.outputs) if i != index and np.ptp(row) > 0]
+    spans = over_time(np.ptp, data.outputs)
+    others = [row for i, row in enumerate(data.outputs) if i != index and spans[i] > 0]
 
     def moves(row: Array) -> bool:
         return not all(_unrelated(row, w) for w in driving)
@@ -175,8 +179,11 @@ def _fault(model: PhysicalModel, data: Measurement, index: int) -> str:
     return ""
 
 
-def _stuck(y: Array) -> str:
-    """Return since when a noisy output repeats one value, or an empty string."""
+def _stuck(y: Array, samples: NDArray[np.intp]) -> str:
+    """Return since when a noisy output repeats one value, or an empty string.
+
+    `samples` are the numbers of the samples in the record.
+    """
     # runs of equal samples
     first, end = runs(np.append(np.diff(y) == 0, False))
     if not first.size:
@@ -188,7 +195,7 @@ def _stuck(y: Array) -> str:
     if not inside or elsewhere >= _NOISY * y.size or length <= max(_LONG * y.size, 20):
         return ""
     return (
-        f"from sample {first[longest]} on it repeats one value {length} times, to the last digit, "
+        f"from sample {samples[first[longest]]} on it repeats one value {length} times, to the last digit, "
         "where its noise never did: the sensor has stopped"
     )
 
@@ -200,11 +207,13 @@ def _unrelated(y: Array, w: Array) -> bool:
     """
     # whiten both, then correlate
     one, other = (innovations(autoregression(row)[0], row - row.mean()) for row in (y, w))
-    n = y.size
+    n, whole = y.size, np.count_nonzero(~np.isnan(y))
+    if whole < n:  # over gaps the white input alone gives the correlation its variance
+        one = np.nan_to_num(y - np.nanmean(y))
     r = correlate(one, other, mode="full", method="fft")[n - 1 : n - 1 + _LAGS]
     r = r / float(np.linalg.norm(one) * np.linalg.norm(other) or 1.0)
     # portmanteau test: sum of squared correlations against chi-square
-    return bool(n * float(r @ r) < _LAGS + _SPREAD * np.sqrt(2 * _LAGS))
+    return bool(whole * float(r @ r) < _LAGS + _SPREAD * np.sqrt(2 * _LAGS))
 
 
 def _foreseen(model: PhysicalModel, data: Measurement, index: int) -> bool:
@@ -217,7 +226,9 @@ def _foreseen(model: PhysicalModel, data: Measurement, index: int) -> bool:
         run = simulate(model, data, "zero").outputs[index]
     except DivergenceError:
         return True
-    return np.ptp(run) == 0 or abs(float(np.corrcoef(run, data.outputs[index])[0, 1])) > _ALIKE
+    y = data.outputs[index]
+    known = ~np.isnan(y)
+    return np.ptp(run) == 0 or abs(float(np.corrcoef(run[known], y[known])[0, 1])) > _ALIKE
 
 
 def _with_outputs(model: PhysicalModel, rows: list[int]) -> PhysicalModel:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import as_flag, as_list, as_mapping, as_number, as_share, as_texts, as_vector, shown
 from ..data.measurement import Measurement
-from ..data.signals import spreads
+from ..data.signals import measured, spreads
 from ..engine.engine import Engine
 from ..engine.observer import leading_gain
 from ..exceptions import DivergenceError
@@ -185,7 +185,7 @@ class _Judge:
         # noise levels and color of the record at hand, taken over to the new one
         self.levels = 1.0 / fitted.problem.weights
         self.whitener = fitted.problem.whitener(fitted.residuals(ratio))
-        self.before = sum(record.outputs.size for record in records)
+        self.before = measured(record.outputs for record in records)
         self.best: Refinement = contenders[0].refinement
         self.seen = self._largest(records)
 

@@ -14,6 +14,7 @@ import numpy as np
 from ..comparison.compare import compare
 from ..data.channels import match_channels, record_for
 from ..data.records import at_rest
+from ..data.signals import over_time
 from ..effects.effect import Effect
 from ..engine.amplitude_response import engine_on
 from ..exceptions import DataError, DivergenceError, ExcitationWarning, unheard
@@ -154,7 +155,7 @@ class HeldOutPath:
                 found.append(_left(refinement, record, self.settings["horizon"]))
             except DivergenceError:
                 return np.full(refinement.physical_model.linear.n_outputs, np.inf)
-        return np.asarray(np.sqrt(np.mean(np.concatenate(found, axis=1) ** 2, axis=1)))
+        return np.asarray(np.sqrt(over_time(np.mean, np.concatenate(found, axis=1) ** 2)))
 
     def errors_on(self, records: Sequence[Any], model: Refinement) -> tuple[ErrorShare, ...]:
         """Return the shares of the spread that a model leaves on a part."""

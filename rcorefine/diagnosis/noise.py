@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import gammaln, ndtr
 
+from ..data.signals import over_time
 from ..inference.f_tests import FTest
 from ..inference.levels import Levels, levels
-from ..inference.whitening import RESOLUTION, Whitener, autoregression, innovations
+from ..inference.whitening import RESOLUTION, Whitener, autoregression, readings, white_part
 from ..results import Row, frequency_text
 from ..systems.linear import Array
 from .residual_tests import TestedResidual
@@ -68,7 +69,7 @@ class Residual:
     Attributes
     ----------
     left : ndarray, shape (N,)
-        Residual.
+        Residual, NaN where nothing was measured.
     measured : ndarray, shape (N,)
         Measured output, in the same unit.
     step : float
@@ -85,12 +86,17 @@ class Residual:
     @cached_property
     def price(self) -> float:
         """Return the penalty per parameter: half the log of the number of samples."""
-        return 0.5 * float(np.log(self.left.size))
+        return 0.5 * float(np.log(self.count))
+
+    @property
+    def count(self) -> int:
+        """Return the number of samples that were measured."""
+        return int(np.count_nonzero(~np.isnan(self.left)))
 
     @cached_property
     def floor(self) -> float:
         """Return the variance of the arithmetic, the noise of an exact record."""
-        resolved = RESOLUTION * float(np.std(self.measured)) * (self.most != 0)
+        resolved = RESOLUTION * float(np.nanstd(self.measured)) * (self.most != 0)
         return max(resolved**2, 1e-300)
 
     @cached_property
@@ -104,7 +110,7 @@ class Residual:
         Returns log-likelihood (minus the penalty), filter and variance.
         """
         # order by Schwarz's criterion, then the likelihood on all samples
-        n = row.size
+        n = self.count
         a, variance = autoregression(row, most=self.most, price=2.0 * self.price)
         a, variance = autoregression(row, order=a.size - 1)  # on all samples
         level = max(variance, self.floor)
@@ -130,7 +136,7 @@ def _heavy_tailed(dof: float, residual: Residual) -> NoiseFit | None:
         return None
     _, a, _ = residual.colored
     row = residual.left
-    e = innovations(a, row - row.mean())[a.size - 1 :]
+    e, known = white_part(a, row - np.nanmean(row)), ~np.isnan(row)
     # expectation-maximization for Student's t: weights, then scale
     scale = float(np.median(e**2)) / _MEDIAN + residual.floor
     w = np.ones(e.size)
@@ -142,8 +148,9 @@ def _heavy_tailed(dof: float, residual: Residual) -> NoiseFit | None:
     # log-likelihood of Student's t with Schwarz's penalty
     constant = gammaln((dof + 1) / 2) - gammaln(dof / 2) - 0.5 * np.log(dof * np.pi * scale)
     value = e.size * constant - 0.5 * (dof + 1) * float(np.sum(np.log1p(e**2 / (dof * scale))))
-    value = value * row.size / e.size - a.size * residual.price
-    weights = np.concatenate([np.ones(a.size - 1), np.sqrt(w)])
+    value = value * residual.count / e.size - a.size * residual.price
+    weights = np.ones(row.size)
+    weights[known] = np.concatenate([np.ones(a.size - 1), np.sqrt(w)])
     return NoiseFit(value, a, scale, weights, f"Student {dof:g}")
 
 
@@ -153,7 +160,7 @@ def _proportional(share: float, residual: Residual) -> NoiseFit | None:
         return None
     # noise grows with the size of the simulated output
     level = np.abs(residual.measured + residual.left)
-    level = level / (float(np.sqrt(np.mean(level**2))) or 1.0)
+    level = np.where(np.isnan(level), 0.0, level) / (float(np.sqrt(np.nanmean(level**2))) or 1.0)
     w = 1.0 / np.sqrt(1.0 + (share * level) ** 2)
     w /= np.exp(np.mean(np.log(w)))
     value, a, variance = residual.autoregressive(residual.left * w)
@@ -165,7 +172,7 @@ def _rounded(residual: Residual) -> NoiseFit | None:
 
     The likelihood is that of the rounding intervals (Sheppard).
     """
-    step, r = residual.step, residual.left
+    step, r = residual.step, residual.left[~np.isnan(residual.left)]
     if step <= 0:
         return None
     best = -np.inf
@@ -174,7 +181,7 @@ def _rounded(residual: Residual) -> NoiseFit | None:
         p = ndtr((r + step / 2) / s) - ndtr((r - step / 2) / s)
         best = max(best, float(np.sum(np.log(np.maximum(p, 1e-30)))) - r.size * float(np.log(step)))
     value = best - residual.price
-    return NoiseFit(value, np.ones(1), float(np.mean(r**2)) or 1.0, np.ones(r.size), "rounded")
+    return NoiseFit(value, np.ones(1), float(np.mean(r**2)) or 1.0, np.ones(residual.left.size), "rounded")
 
 
 #: Noise models: each fits a residual, or returns None if it does not apply.
@@ -204,17 +211,20 @@ def noise_of(
     -------
     Noise
     """
-    rows = zip(np.concatenate(residuals, axis=1), np.concatenate(outputs, axis=1), steps, strict=True)
+    lefts, apart = readings(residuals)
     best = []
-    for left, measured, step in rows:
+    for left, measured, step in zip(lefts, readings(outputs)[0], steps, strict=True):
         residual = Residual(left, measured, step, most)
         # the likeliest model of each output
         fits = [fit for model in MODELS if (fit := model(residual)) is not None]
         best.append(max(fits, key=lambda fit: fit.log_likelihood))
-    ends = np.cumsum([r.shape[1] for r in residuals])[:-1]
+    ends, gaps = np.cumsum([r.shape[1] for r in residuals])[:-1], np.isnan(np.concatenate(residuals, axis=1))
+    weights = np.ones(gaps.shape)
+    for row, gone, left, fit in zip(weights, gaps, lefts, best, strict=True):
+        row[~gone] = fit.weights[~np.isnan(left)]
     return Noise(
-        Whitener(tuple(fit.filter for fit in best), np.sqrt([fit.variance for fit in best])),
-        np.split(np.array([fit.weights for fit in best]), ends, axis=1),
+        Whitener(tuple(fit.filter for fit in best), np.sqrt([fit.variance for fit in best]), apart),
+        np.split(weights, ends, axis=1),
         sum(fit.log_likelihood for fit in best),
         tuple(fit.name for fit in best),
     )
@@ -222,6 +232,7 @@ def noise_of(
 
 def rounding_step(values: Array) -> float:
     """Return the step of rounded values (N,), 0 if they are not rounded."""
+    values = values[~np.isnan(values)]
     # rounded values: few distinct ones, on a grid
     distinct, times = np.unique(values, return_counts=True)
     if distinct.size < 3 or distinct.size > _DISTINCT * values.size:
@@ -253,7 +264,8 @@ def spectral_line(residuals: Sequence[Array], dt: float) -> tuple[float, float] 
         In Hz, and of the power of that output; None where no line stands out that keeps its phase.
     """
     longest = max(residuals, key=lambda block: block.shape[1])
-    found = [line for row in longest if (line := _line_of(row - row.mean(), dt)) is not None]
+    rows = np.nan_to_num(longest - over_time(np.mean, longest)[:, None])
+    found = [line for row in rows if (line := _line_of(row, dt)) is not None]
     return max(found, key=lambda line: line[1], default=None)
 
 
@@ -341,7 +353,7 @@ def _fit_and_memory(tested: TestedResidual) -> tuple[float, float]:
     The color is the size of the residual relative to its innovation, 0 where no output has colored noise.
     """
     refined, orders = tested.fitted.refinement, np.array(tested.whitener.orders)
-    whole = np.hstack(tested.fitted.residuals(tested.ratio)).std(axis=1)
+    whole = over_time(np.std, np.hstack(tested.fitted.residuals(tested.ratio)))
     memory = float(np.max(whole / tested.whitener.scales, where=orders > 0, initial=0.0))
     return float(refined.fit[np.isfinite(refined.fit)].min(initial=100.0)), memory
 
@@ -463,10 +475,10 @@ def error_shares_of(
     """
     # power of the residual without the innovations, plus what the tests find in these
     residual, measured = np.hstack(left), np.hstack(outputs)
-    power, white = np.mean(residual**2, axis=1), innovations**2
+    power, white = over_time(np.mean, residual**2), innovations**2
     model = np.maximum(power - white, 0.0) + white * found
     # relative to the spread of the output
-    spread = measured.std(axis=1)
+    spread = over_time(np.std, measured)
     size = np.where(spread > 0, spread, np.inf)
     shares = np.sqrt(np.array([power, np.minimum(model, power)])) / size
     steps = np.array([rounding_step(row) for row in measured]) / size

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..data import HOLDS
 from ..data.measurement import Measurement
+from ..data.signals import over_time
 from ..effects.bodies import Mass
 from ..effects.effect import Effect
 from ..engine.controlled import integrates
@@ -275,7 +276,7 @@ def with_offsets(base: Refinement, records: Sequence[Measurement], options: dict
     if not ordered[0].in_time or integrates(base.physical_model.linear, ordered[0]):
         return base
     y = np.concatenate([record.outputs for record in ordered], axis=1)
-    if not np.any(np.abs(y.mean(axis=1)) > levels().zero * y.std(axis=1)):
+    if not np.any(np.abs(over_time(np.mean, y)) > levels().zero * over_time(np.std, y)):
         return base  # so small an offset does not hide an effect
     everywhere = offsets_everywhere(base.physical_model, ordered)
     return refit(base, records, offsets=everywhere, elsewhere=False, **options)

@@ -10,6 +10,7 @@ import control as ct
 import numpy as np
 
 from ..data.measurement import Measurement
+from ..data.signals import over_time
 from ..effects.effect import Effect, unit_forces
 from ..effects.given import InputCurve, OutputCurve, Table, Tabulated
 from ..inference.f_tests import Basis, project
@@ -190,11 +191,17 @@ def _static(fits: SingleFits) -> dict[str, tuple[float, list[Array]]]:
         if blocks is None:
             continue
         seen = evidence(tested.left, project(tested.whiten(blocks), tested.basis))
-        J = [(j.reshape(r.size, -1), X.reshape(r.size, -1)) for (r, j), X in zip(held, blocks, strict=True)]
+        gaps = [np.isnan(r) for r, _ in held]
+        blocks = [np.where(gone[:, :, None], 0.0, X) for gone, X in zip(gaps, blocks, strict=True)]
+        J = [
+            (np.nan_to_num(j).reshape(r.size, -1), X.reshape(r.size, -1))
+            for (r, j), X in zip(held, blocks, strict=True)
+        ]
         basis = Basis.of([np.hstack([j[:, :p], X]) for j, X in J], [j[:, p:] for j, _ in J])
-        rest = project(np.concatenate([r.ravel() for r, _ in held]), basis)
+        rest = project(np.concatenate([np.nan_to_num(r).ravel() for r, _ in held]), basis)
         ends = np.cumsum([r.size for r, _ in held])[:-1]
-        after = [x.reshape(r.shape) for x, (r, _) in zip(np.split(rest, ends), held, strict=True)]
+        after = [x.reshape(gone.shape) for x, gone in zip(np.split(rest, ends), gaps, strict=True)]
+        after = [np.where(gone, np.nan, x) for gone, x in zip(gaps, after, strict=True)]
         found[label] = (seen.gain - 0.5 * float(tested.left @ tested.left), after)
     return found
 
@@ -206,7 +213,7 @@ def _beyond(residuals: Sequence[Array], scales: Array) -> float:
     """
     # mean square over the innovations, minus one
     left = np.hstack(residuals) / scales[:, None]
-    return float(np.sum(np.maximum(np.mean(left**2, axis=1) - 1.0, 0.0)))
+    return float(np.sum(np.maximum(over_time(np.mean, left**2) - 1.0, 0.0)))
 
 
 def _tabulated(fits: SingleFits, form: FreeForm) -> OpenLaw | None:
@@ -223,11 +230,11 @@ def _tabulated(fits: SingleFits, form: FreeForm) -> OpenLaw | None:
     # fit of the simulation with the table
     errors = np.hstack([r / fitted.problem.weights[:, None] for r in fitted.residuals()])
     measured = np.hstack([r.outputs for r in fitted.problem.records])
-    spread = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
-    fit = 100.0 * (1.0 - np.linalg.norm(errors, axis=1) / np.where(spread > 0, spread, np.inf))
+    spread = over_time(np.linalg.norm, measured - over_time(np.mean, measured)[:, None])
+    fit = 100.0 * (1.0 - over_time(np.linalg.norm, errors) / np.where(spread > 0, spread, np.inf))
     if fit.mean() <= np.mean(fits.fitted.refinement.fit):
         return None
-    rmse = np.sqrt(np.mean(errors**2, axis=1))
+    rmse = np.sqrt(over_time(np.mean, errors**2))
     near = _nearest(fits, form) if kind == Tabulated.name else ()
     return OpenLaw(effect, float(np.mean(fit)), near, rmse)
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..data.measurement import Measurement
+from ..data.signals import difference
 from ..effects.effect import Effect, unit_forces
 from ..engine.point import resting
 from ..engine.structure import Structure
@@ -309,7 +310,7 @@ def plain_cost(problem: Problem, point: Array, gain: Array | None) -> float:
     total = 0.0
     for engine, start in zip(problem.engines, starts, strict=True):
         run = engine.run(theta, start, sensitivity=False, gain=gain, check=False)
-        error = problem.weights[:, None] * (run.outputs - engine.data.outputs)
+        error = problem.weights[:, None] * difference(run.outputs, engine.data.outputs)
         if run.blew_up >= 0 or not np.isfinite(error).all():
             return np.inf
         total += 0.5 * float(np.sum(error**2))

@@ -12,6 +12,7 @@ from scipy import stats
 
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord, coded
+from ..data.signals import over_time
 from ..effects.effect import Effect
 from ..engine.amplitude_response import ResponseEngine
 from ..inference.f_tests import (
@@ -70,12 +71,14 @@ class TestedResidual:
         self.residual = self.whitener.apply([r for r, _ in blocks])
         self._judged = fitted.problem.judged(fitted.theta)
         p, sizes = fitted.problem.n_theta, fitted.problem.sizes
-        lead = [np.zeros((*r.shape, 0)) for r, _ in blocks] if ratio else fitted.lead_columns
+        lead = [r[:, :, None][:, :, :0] for r, _ in blocks] if ratio else fitted.lead_columns
         common, own = [], []
         for i, (_, j) in enumerate(blocks):
-            white = self.whitener.apply([j * sizes[fitted.problem.felt_by(i)]])
-            common.append(np.hstack([white[:, :p], self.whitener.apply([lead[i]])]))
-            own.append(white[:, p:])
+            count = j.shape[2]
+            columns = np.concatenate([j * sizes[fitted.problem.felt_by(i)], lead[i]], axis=2)
+            white = self.whitener.apply([columns])
+            common.append(np.hstack([white[:, :p], white[:, count:]]))
+            own.append(white[:, p:count])
         self.basis = replace(Basis.of(common, own), more=sum(self.whitener.orders))
         self.left = project(self.residual, self.basis)
         self._weighted: tuple[Array, Array, Basis] | None = None
@@ -176,7 +179,7 @@ class TestedResidual:
     @property
     def log_likelihood(self) -> float:
         """Gaussian log-likelihood of the innovations, up to a constant."""
-        return self.whitener.log_likelihood(sum(r.shape[1] for r in self.fitted.residuals(self.ratio)))
+        return self.whitener.log_likelihood(self.fitted.residuals(self.ratio))
 
 
 def run_tests(
@@ -288,7 +291,7 @@ def _at_once(fitted: FittedModel) -> NDArray[np.bool_]:
     # direct path through D that is seen above rounding
     direct = fitted.structure.matrices(fitted.theta).D[:, : records[0].n_inputs].real
     moved = np.hstack([r.inputs for r in records]).std(axis=1)
-    shown = np.hstack([r.outputs for r in records]).std(axis=1)
+    shown = over_time(np.std, np.hstack([r.outputs for r in records]))
     seen = np.abs(direct) * moved > 1e-9 * shown[:, None]
     return np.asarray(seen | any(record.hold != "zoh" for record in records))
 

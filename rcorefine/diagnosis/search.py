@@ -150,7 +150,8 @@ class Search:
             added = sum(e.spec.inner_states for e in stores if e.spec.linear)
             judged = self.driven and added and trial.is_linear and not trial.hypothesis.ratio
             order = trial.problem.structure.n_states - added
-            self._spare[trial] = bool(judged and order and self._box_suffices(trial, order))
+            whole = all(record.there is None for record in trial.problem.records)  # a black box needs that
+            self._spare[trial] = bool(judged and order and whole and self._box_suffices(trial, order))
         return self._spare[trial]
 
     def _box_suffices(self, trial: Trial, order: int) -> bool:
@@ -340,7 +341,10 @@ class Search:
         if any(own.whitener.orders) or own.uneven:
             found.append(made(Metric(own.whitener, own.weights)))
         best = plain.beam(MOST, True, self.price, self.is_open)[0]
-        parts = np.split(plain.left(best[1], True), np.cumsum([r.size for r in residual])[:-1])
+        # what the best set leaves, in the rows that were measured
+        rest = np.concatenate([r.ravel() for r in residual])
+        rest[~np.isnan(rest)] = plain.left(best[1], True)
+        parts = np.split(rest, np.cumsum([r.size for r in residual])[:-1])
         other = noise([part.reshape(r.shape) for part, r in zip(parts, residual, strict=True)])
         if any(other.whitener.orders) and other.whitener.orders != own.whitener.orders:
             found.append(made(Metric(other.whitener)))

@@ -128,11 +128,13 @@ class Engine:
         point = structure.model.operating_point
         self._level = np.zeros(structure.n_outputs) if point is None else point.outputs
         self._measured += self._level
-        self._largest = np.abs(self._measured).max(axis=0, initial=0.0)
+        self._largest = np.fmax.reduce(np.abs(self._measured), axis=0, initial=0.0)
         # an empty record has no size
         far = _FAR if structure.field is None else _FAR_OF_FIELD
         self._far = np.where(self._largest > 0, far * self._largest, np.inf)
         self._nowhere = np.zeros(self._measured.shape, dtype=np.uint8)
+        self._there = ~np.isnan(self._measured)
+        self._apart = self._lawless and not self._streams and bool(self._there.all())
 
     def run(
         self,
@@ -162,7 +164,7 @@ class Engine:
         gain : ndarray, shape (n, n_y), optional
             Observer gain; a free run without it (or `lead`).
         use : ndarray of bool, shape (N, n_y), optional
-            Where the observer corrects; everywhere by default.
+            Where the observer corrects; by default wherever there is a sample.
         inner : ndarray, shape (m + n_y,), optional
             Memory of the laws at the first sample, as `Trajectory.last` has it; default at rest.
         histories : bool
@@ -190,7 +192,7 @@ class Engine:
         lead = self.lead if gain is None else gain
         observer, loop = self._corrections(lead, use), commands(s, theta, self._signal, lead)
         # linear model: initial states act by superposition, so their derivatives are computed separately
-        apart = initial_state and use is None and self._lawless and not self._streams
+        apart = initial_state and use is None and self._apart
         S = start_columns(s, p + n) if initial_state and not apart else np.zeros((p, n))
         kept = N * histories
         into = MarchResult(
@@ -264,7 +266,8 @@ class Engine:
         if gain is None:
             none = np.zeros((self.structure.n_states, shape[1]))
             return Corrections(self._measured, self._nowhere, none, self._resets)
-        flags = np.ones(shape, dtype=np.uint8) if use is None else use.astype(np.uint8)
+        # nothing corrects where nothing was measured
+        flags = (self._there if use is None else use).astype(np.uint8)
         flags *= np.uint8(2 if closes_loop(self.structure, gain) else 1)
         return Corrections(self._measured, flags, np.ascontiguousarray(gain, dtype=float), self._resets)
 

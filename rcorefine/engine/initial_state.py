@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import schur
 
-from ..data.signals import spreads
+from ..data.signals import difference, over_time, spreads
 from ..gauss_newton import Rows, gauss_newton
 from ..systems.discretization import exponential
 from ..systems.linear import Array
@@ -60,8 +60,9 @@ def brief_modes(engine: Engine) -> Array:
             bare.run(theta, sensitivity=False, gain=g, histories=True, check=False)
             for g in (np.zeros_like(gain), gain)
         )
-        left = (data.outputs - free.outputs).std(axis=1)
-    if not np.all(left < _TELLS * data.outputs.std(axis=1)):  # the plant has other modes than such a model
+        left = over_time(np.std, data.outputs - free.outputs)
+    # the plant has other modes than such a model
+    if not np.all(left < _TELLS * over_time(np.std, data.outputs)):
         return none
     sound = [run.states for run in (free, corrected) if np.isfinite(run.states).all()]
     sizes = np.max([np.abs(states).max(axis=1) for states in sound], axis=0)
@@ -118,7 +119,7 @@ def estimate_initial_state(
     """
     if weights is None:
         weights = 1.0 / spreads(engine.data.outputs)
-    judged = engine.judged(theta)
+    judged = engine.judged(theta) & ~np.isnan(engine.data.outputs)
     weights = weights[:, None] * (judged if use is None else judged & use.T)
     calm = theta.copy()
     if not engine.structure.is_linear:
@@ -128,7 +129,7 @@ def estimate_initial_state(
     # residual and Jacobian of the initial state; rows of the prior below
     def rows(theta: Array, point: Array, gain: Array | None = gain) -> Rows:
         run = engine.run(theta, point, sensitivity=False, initial_state=True, gain=gain, use=use, check=False)
-        error = (weights * (run.outputs - engine.data.outputs)).ravel()
+        error = (weights * difference(run.outputs, engine.data.outputs)).ravel()
         slopes = (weights[:, :, None] * run.sensitivity).reshape(error.size, -1)
         sound = run.blew_up < 0 and np.isfinite(slopes).all()
         error, slopes = np.append(error, prior @ point), np.vstack([slopes, prior])

@@ -345,6 +345,7 @@ def linear_responses(
     signals: Array,
     *,
     gain: Array | None = None,
+    use: NDArray[np.bool_] | None = None,
     restarts: NDArray[np.uint8] | None = None,
 ) -> Array:
     """Outputs that each of several signals adds, from rest.
@@ -361,6 +362,8 @@ def linear_responses(
         One per column.
     gain : ndarray, shape (n, n_y), optional
         Of an observer; a free run without it.
+    use : ndarray of bool, shape (N, n_y), optional
+        Where it corrects; everywhere by default.
     restarts : ndarray of uint8, shape (N,), optional
         Where the run begins anew from rest.
 
@@ -380,6 +383,9 @@ def linear_responses(
             F = signals[a:b, group]
             added, direct = falling * F[:-1] + rising * F[1:], through * F
             start, nothing = np.zeros((n, F.shape[1])), np.zeros((len(C), b - a, 1))
-            states, _ = _filter(Phi, C, [(slice(0, b - a), K)], start, added, direct, nothing)
+            stretches = [(slice(0, b - a), K)]
+            if use is not None and gain is not None:
+                stretches = Corrections(F, use[a:b].astype(np.uint8), K, Phi).stretches
+            states, _ = _filter(Phi, C, stretches, start, added, direct, nothing)
             out[a:b, :, group] = (_times(C, states) + direct).transpose(1, 0, 2)
     return out

@@ -301,12 +301,12 @@ def _find_ratio(bare: Structure, record: Measurement) -> float | None:
     run = engine.run(theta, sensitivity=False, gain=gains[_FORCES[-1]], histories=True, check=False)
     if run.blew_up >= 0 or growth(bare.model, run.states, record) < _REGULAR:
         return None
-    missed = np.std(run.outputs - engine.data.outputs)
+    missed = np.nanstd(run.outputs - engine.data.outputs)
     # weakest observer that follows the record and forgets its initial state
     for ratio, gain in gains.items():
         run = engine.run(theta, sensitivity=False, initial_state=True, gain=gain, check=False)
         felt = np.abs(run.sensitivity).max(axis=(0, 2))
-        holds = run.blew_up < 0 and np.std(run.outputs - engine.data.outputs) < _FOLLOWS * missed
+        holds = run.blew_up < 0 and np.nanstd(run.outputs - engine.data.outputs) < _FOLLOWS * missed
         if holds and felt[felt.size // 2 :].max() < _DIES_OUT * felt.max():
             return ratio
     return _FORCES[-1]

@@ -14,7 +14,7 @@ from ..arguments import as_state
 from ..data.channels import match_channels, record_for, resting_inputs
 from ..data.measurement import Measurement
 from ..data.records import as_record
-from ..data.signals import spreads
+from ..data.signals import difference, spreads
 from ..effects.effect import Effect, as_effects
 from ..exceptions import DivergenceError, ModelError
 from ..gauss_newton import Rows, gauss_newton, own_sizes
@@ -358,8 +358,10 @@ def _simulate_discrete(model: LinearModel, data: Measurement, x0: str | Array) -
     if start is None:
         # least squares: outputs are affine in the initial state
         weights = 1.0 / spreads(data.outputs)
-        slopes = np.einsum("y,yi,kij->ykj", weights, model.C, unit).reshape(-1, model.n_states)
-        error = (weights[:, None] * (forced - data.outputs)).ravel()
+        slopes = np.einsum("y,yi,kij->ykj", weights, model.C, unit)
+        slopes[np.isnan(data.outputs)] = 0.0
+        slopes = slopes.reshape(-1, model.n_states)
+        error = (weights[:, None] * difference(forced, data.outputs)).ravel()
         start = gauss_newton(
             lambda x: Rows(error + slopes @ x, slopes), np.zeros(model.n_states),
             sizes=own_sizes(np.abs(states).max(axis=1), slopes), evaluations=3, tolerance=1e-8, damping=0.0,

@@ -140,6 +140,9 @@ def _forwards(F, H, K, y, drive, reset, into):  # type: ignore[no-untyped-def]
         put(predicted[k], 0, x)
         # Kalman filter: update with the innovation, then predict
         put(innovations[k], 0, y[k] - H @ x)
+        for i in range(y.shape[1]):  # what was not measured corrects nothing
+            if np.isnan(y[k, i]):
+                innovations[k, i] = 0.0
         x = x + K @ innovations[k]
         put(filtered[k], 0, x)
         x = F @ x + drive[k]

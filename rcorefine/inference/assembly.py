@@ -16,6 +16,7 @@ from ..data.frequency_response import FrequencyResponse
 from ..data.measurement import Measurement
 from ..data.records import FreeRun
 from ..data.response_record import some_lines
+from ..data.signals import over_time
 from ..effects.channels import InputOffset, OutputOffset
 from ..effects.effect import Effect, as_effects
 from ..effects.law import KINDS
@@ -157,7 +158,7 @@ def offset_variants(physical: PhysicalModel, record: Measurement, offset: bool) 
     # static gain D - C A^-1 B: which outputs does a constant input reach?
     reach = linear.D - linear.C @ np.linalg.pinv(linear.A) @ linear.B
     level = np.abs(reach) @ np.sqrt(np.mean(record.inputs**2, axis=1))
-    seen = np.flatnonzero(level > 1e-3 * record.outputs.std(axis=1))
+    seen = np.flatnonzero(level > 1e-3 * over_time(np.std, record.outputs))
     if seen.size < linear.n_inputs:
         return [at_outputs]
     # those outputs determine the offsets of the actuators; the other outputs need their own
@@ -179,7 +180,7 @@ def offsets_everywhere(physical: PhysicalModel, records: Sequence[Measurement]) 
     ):
         for label, signal in zip(labels, np.concatenate(signals, axis=1), strict=True):
             # prior standard deviation in units of the rms value of the signal
-            size = float(np.sqrt(np.mean(signal**2)))
+            size = float(np.sqrt(np.nanmean(signal**2)))
             found.append(Effect(law.name, label, prior={"offset": wide * (size or 1.0)}))
     return found
 

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.signal import lfilter
 
+from ..data.signals import measured, over_time
 from ..systems.linear import Array
-from .whitening import RESOLUTION, autoregression, innovations, stable_model
+from .whitening import RESOLUTION, autoregression, readings, stable_model, white_part
 
 _UNSEEN = 1e-7  # singular value of the Jacobian with unit columns below which a direction is not determined
 _AWAY = 2.0  # increase of the power of a residual that only an error of the model explains
@@ -197,11 +198,12 @@ def colored(
         per output sees it.
     """
     normal, middle = np.diag(precision.astype(float)), np.diag(precision.astype(float))
+    residuals, jacobians = _readings(residuals, jacobians)
     at = [np.arange(precision.size)] * len(jacobians) if columns is None else columns
     for i, (a, variance) in enumerate(_noise_models(residuals, jacobians, precision, order, at)):
         a, variance = stable_model(a, variance)
         for jacobian, own in zip(jacobians, at, strict=True):
-            J = jacobian[i]
+            J = np.nan_to_num(jacobian[i])
             # J' R J: filter the columns backward in time by 1 / A(z), then square
             backwards = J if a.size == 1 else lfilter([1.0], a, J[::-1], axis=0)
             normal[np.ix_(own, own)] += J.T @ J
@@ -222,21 +224,21 @@ def _noise_models(
     Restricted maximum likelihood allows for that, by expectation maximization with the unknowns as missing
     data (Laird and Ware, Biometrics 38 (1982) 963). The orders are those of the residuals.
     """
-    joined = np.concatenate(residuals, axis=1)
+    joined, count = list(map(np.concatenate, zip(*residuals, strict=True))), measured(residuals)
     # degrees of freedom that the fit has used
-    correction = joined.size / max(joined.size - precision.size, 1)
+    correction = count / max(count - precision.size, 1)
     models = [autoregression(row, order=order) for row in joined]
-    joined = joined - joined.mean(axis=1, keepdims=True)
+    joined = [row - np.nanmean(row) for row in joined]
     # start: models of the residuals as they are
     models = [(a, variance * correction) for a, variance in models]
     # least variance of an output whose residual is not rounding
     least = RESOLUTION**2 * max(variance for _, variance in models)
     noisy = {i: model for i, model in enumerate(models) if model[1] > least}
-    for _ in range(_ROUNDS if noisy else 0):
+    for _ in range(_ROUNDS * bool(noisy)):
         # expectation: change of the unknowns, and the residual that it leaves
         shift, roots = _shift_unknowns(noisy, residuals, jacobians, precision, at)
-        left = joined - np.concatenate([J @ shift[own] for J, own in zip(jacobians, at, strict=True)], axis=1)
-        if (np.sum(left**2, axis=1) > _AWAY * np.sum(joined**2, axis=1))[list(noisy)].any():
+        left = {i: joined[i] - _moved(i, jacobians, shift, at) for i in noisy}
+        if any(np.nansum(row**2) > _AWAY * np.nansum(joined[i] ** 2) for i, row in left.items()):
             break
         # maximization: the noise model of each output
         before, change = dict(noisy), 0.0
@@ -244,9 +246,14 @@ def _noise_models(
             unsure = np.concatenate([J[i] @ root for J, root in zip(jacobians, roots, strict=True)])
             noisy[i] = autoregression(left[i], order=a.size - 1, unsure=unsure)
             change = max(change, float(np.abs(noisy[i][0] - a).max()), abs(noisy[i][1] / variance - 1.0))
-        if change * np.sqrt(joined.shape[1]) < _ALIKE:
+        if change * np.sqrt(max(map(len, joined))) < _ALIKE:
             break
     return [noisy.get(i, model) for i, model in enumerate(models)]
+
+
+def _moved(output: int, jacobians: Sequence[Any], shift: Array, at: Sequence[Any]) -> Array:
+    """Return how a change of the unknowns changes the residual of an output."""
+    return np.concatenate([J[output] @ shift[own] for J, own in zip(jacobians, at, strict=True)])
 
 
 def _shift_unknowns(
@@ -265,7 +272,7 @@ def _shift_unknowns(
     for i, (a, variance) in models.items():
         for r, J, own in zip(residuals, jacobians, at, strict=True):
             # whiten residual and Jacobian by A(z) of the output
-            left, white = (innovations(a, x[i])[a.size - 1 :] for x in (r, J))
+            left, white = (white_part(a, x[i]) for x in (r, J))
             normal[np.ix_(own, own)] += white.T @ white / variance
             slope[own] += white.T @ left / variance
     inverse, _, _ = pseudo_inverse(normal)
@@ -289,12 +296,27 @@ def parameter_uncertainty(
     The residual may be colored. If it is white, this is the Cramer-Rao bound ``sigma^2 (J'J)^-1``.
     The parameters are those of `colored`.
     """
+    joined, count = np.concatenate(residuals, axis=1), measured(residuals)
     normal, middle = colored(residuals, jacobians, precision, order, columns)
     _, lost, condition = pseudo_inverse(normal)
-    joined = np.concatenate(residuals, axis=1)
     # standard deviation with the degrees of freedom of the fit
-    noise = np.sqrt(np.mean(joined**2, axis=1) * joined.size / max(joined.size - precision.size, 1))
+    noise = np.sqrt(over_time(np.mean, joined**2) * count / max(count - precision.size, 1))
     return Uncertainty(covariance(normal, middle), noise, condition, lost)
+
+
+def _readings(residuals: Sequence[Any], jacobians: Sequence[Any]) -> tuple[Sequence[Any], Sequence[Any]]:
+    """Return residuals and Jacobians at the readings of slow sensors."""
+    _, steps = readings(residuals)
+    if steps is None:
+        return residuals, jacobians
+    phases = [[int(np.isnan(row).argmin()) for row in block] for block in residuals]
+    return tuple(
+        [
+            [row[first::step] for row, first, step in zip(block, firsts, steps, strict=True)]
+            for block, firsts in zip(blocks, phases, strict=True)
+        ]
+        for blocks in (residuals, jacobians)
+    )  # type: ignore[return-value]
 
 
 def unseen_combinations(

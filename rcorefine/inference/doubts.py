@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import eig
 
 from ..data.measurement import Measurement
+from ..data.signals import over_time
 from ..engine.simulation import simulated
 from ..exceptions import IdentifiabilityWarning, warn
 from ..results import frequency_text
@@ -30,7 +31,7 @@ _AWAY, _BENT = 2.0, 4.0  # distance in standard deviations, and factor by which 
 
 def stands_still(outputs: Array) -> Array:
     """Which rows of (n_y, N) do not move."""
-    return np.asarray(np.ptp(outputs, axis=1) <= _STILL * np.abs(outputs).max(axis=1))
+    return np.asarray(over_time(np.ptp, outputs) <= _STILL * over_time(np.max, np.abs(outputs)))
 
 
 def explains_nothing(fit: Array, n_samples: int, unknowns: int) -> bool:
@@ -71,7 +72,7 @@ def doubted(found: Refinement, fit: Any, again: Callable[[list[Measurement]], An
         reasons.append(f"{', '.join(labels)} does not move in this record, so it determines no parameter")
         worthless = True
     elif found.parameters:
-        idle = explains_nothing(found.fit, outputs.shape[1], fit.problem.size)
+        idle = explains_nothing(found.fit, fit.problem.n_points // len(outputs), fit.problem.size)
         reasons += _check_sign(found, fit, again, labels)
         if idle and not reasons:
             reasons.append(
@@ -127,9 +128,10 @@ def _opposed_outputs(found: Refinement, segments: Sequence[Measurement]) -> Arra
     measured = [record.outputs for record in segments]
     # correlation of simulation and measurement, without their means
     one, two = (np.concatenate(rows, axis=1) for rows in (runs, measured))
-    one, two = (rows - rows.mean(axis=1, keepdims=True) for rows in (one, two))
-    size = np.linalg.norm(one, axis=1) * np.linalg.norm(two, axis=1)
-    return np.asarray(np.sum(one * two, axis=1) < _WITH * size)
+    one[np.isnan(two)] = np.nan
+    one, two = (rows - over_time(np.mean, rows)[:, None] for rows in (one, two))
+    size = over_time(np.linalg.norm, one) * over_time(np.linalg.norm, two)
+    return np.asarray(over_time(np.sum, one * two) < _WITH * size)
 
 
 def _check_aliasing(found: Refinement, fit: Any, idle: bool) -> str:

@@ -12,6 +12,7 @@ import control as ct
 import numpy as np
 
 from ..data.measurement import Measurement
+from ..data.signals import measured, over_time
 from ..engine.structure import Structure
 from ..exceptions import DataError
 from ..systems.linear import Array
@@ -45,7 +46,7 @@ class Fit:
         self.steps = 1
         self.problem: Problem
         self.result: Descent
-        values = sum(record.outputs.size for record in segments)
+        values = measured(record.outputs for record in segments)
         unknowns = structure.n_parameters + structure.n_states * len(segments)
         if values <= unknowns:
             raise DataError(
@@ -145,7 +146,7 @@ class Fit:
         # concentrated log-likelihood: log of the mean square of each output
         blocks = self.problem.own_blocks(self.result.point)
         residual = np.hstack([r for r, _, _ in blocks]) / self.problem.weights[:, None]
-        return float(np.sum(np.log(np.mean(residual**2, axis=1) + 1e-300)))
+        return float(np.sum(np.log(over_time(np.mean, residual**2) + 1e-300)))
 
 
 def _pad_state(initial: Array, n: int) -> Array:

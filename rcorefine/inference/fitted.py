@@ -123,7 +123,9 @@ class FittedModel:
                 states = np.nan_to_num(run.states)
                 # the states are corrected, x + K (y - y_model): take the correction back
                 if gain is not None:
-                    states = states + gain @ (self.residuals(ratio)[i] / self.problem.weights[:, None])
+                    states = states + gain @ np.nan_to_num(
+                        self.residuals(ratio)[i] / self.problem.weights[:, None]
+                    )
                 found.append(states)
             self._states[ratio] = found
         return self._states[ratio]
@@ -149,7 +151,7 @@ class FittedModel:
             for i, (engine, start) in enumerate(zip(self.problem.engines, starts, strict=True)):
                 run = engine.run(theta, start, sensitivity=False, gain=stronger, check=False)
                 error = self.problem.weights[:, None] * (run.outputs - engine.data.outputs)
-                if np.isfinite(error).all():  # no column if the run diverges
+                if np.isfinite(run.outputs).all():  # no column if the run diverges
                     columns[i][:, :, k] = error - self.residuals()[i]
         # zero where the samples cannot be compared
         judged = self.problem.judged(theta)

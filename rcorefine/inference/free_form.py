@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from ..data.measurement import Measurement
+from ..data.signals import over_time
 from ..effects.effect import Effect
 from ..effects.given import OutputCurve, Table, Tabulated
 from ..engine.smoother import Smoothed, smooth
@@ -430,9 +431,9 @@ def estimated_force(
     C = np.column_stack([linear.C, felt(port, model.physical_model.output_rate)])
     hold = "zoh" if record.hold == "zoh" else "foh"
     w = record.inputs
-    R = np.diag(np.maximum(noise, 1e-6 * record.outputs.std(axis=1)) ** 2)
+    R = np.diag(np.maximum(noise, 1e-6 * over_time(np.std, record.outputs)) ** 2)
     y = record.outputs - linear.D @ w
-    y = y - y.mean(axis=1, keepdims=True)
+    y = y - over_time(np.mean, y)[:, None]
     runs = []
     for memory in _MEMORY:
         # the force is a state with a correlation time: df/dt = -f / memory + noise
@@ -442,7 +443,7 @@ def estimated_force(
         drive = (G0 @ w + G1 @ np.hstack([w[:, 1:], w[:, -1:]])).T
         # unit: the force that changes the output by its own size within a sample
         reach = np.linalg.norm(C @ F[:, -1]) + np.linalg.norm(C[:, -1]) + 1e-300
-        unit = float(np.linalg.norm(y.std(axis=1))) / reach
+        unit = float(np.linalg.norm(over_time(np.std, y))) / reach
         runs += [_Walk(F, C, R, y.T, drive, share * unit) for share in _LEVELS]
     # choose level and correlation time by the likelihood on the first samples
     likelihoods = [run.smoothed(_TRIED_ON).log_likelihood for run in runs]

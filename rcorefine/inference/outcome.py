@@ -9,7 +9,7 @@ import numpy as np
 
 from ..arguments import as_noise
 from ..data.measurement import Measurement
-from ..data.signals import spreads
+from ..data.signals import over_time, spreads
 from ..engine.amplitude_response import engine_on
 from ..engine.engine import Engine
 from ..engine.initial_state import estimate_initial_state
@@ -42,7 +42,7 @@ def output_weights(
         return 1.0 / spread
     # after a fit: rms of the residual, but no less than rounding
     residuals = np.concatenate([r for r, _, _ in problem.own_blocks(point)], axis=1)
-    level = np.sqrt(np.mean((residuals / problem.weights[:, None]) ** 2, axis=1))
+    level = np.sqrt(over_time(np.mean, (residuals / problem.weights[:, None]) ** 2))
     return 1.0 / np.maximum(level, 1e-12 * spread)
 
 
@@ -122,9 +122,9 @@ def _at_prior(problem: Problem, point: Array) -> Array:
 
 def _fit(measured: Array, error: Array) -> Array:
     # normalized root mean square error, 100 (1 - |y - yh| / |y - mean y|)
-    about_mean = np.linalg.norm(measured - measured.mean(axis=1, keepdims=True), axis=1)
+    about_mean = over_time(np.linalg.norm, measured - over_time(np.mean, measured)[:, None])
     about_mean = np.where(stands_still(measured) | (about_mean == 0), np.nan, about_mean)
-    return np.asarray(100.0 * (1.0 - np.linalg.norm(error, axis=1) / about_mean))
+    return np.asarray(100.0 * (1.0 - over_time(np.linalg.norm, error) / about_mean))
 
 
 def fit_of(records: Sequence[Any], errors: Sequence[Array]) -> tuple[Array, Array]:
@@ -137,7 +137,7 @@ def fit_of(records: Sequence[Any], errors: Sequence[Array]) -> tuple[Array, Arra
     if records[0].in_time:
         error = np.concatenate(errors, axis=1)
         measured = np.concatenate([r.outputs for r in records], axis=1)
-        return _fit(measured, error), np.sqrt(np.mean(error**2, axis=1))
+        return _fit(measured, error), np.sqrt(over_time(np.mean, error**2))
     # frequency responses: complex points, about their mean over frequency
     left = [record.points(e) for record, e in zip(records, errors, strict=True)]
     points = [record.points(record.outputs) for record in records]

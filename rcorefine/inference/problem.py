@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord
-from ..data.signals import spreads
+from ..data.signals import measured, spreads
 from ..engine.amplitude_response import engine_on, is_linear
 from ..engine.initial_state import added_states, brief_modes
 from ..engine.structure import Structure
@@ -170,7 +170,7 @@ class Problem:
         self.n_theta, self.n_states = p, structure.n_states
         self.free_start = initial is None
         self._cache: tuple[Array, Array | None, Evaluation] | None = None
-        self.n_points = sum(record.outputs.size for record in self.records)
+        self.n_points = measured(record.outputs for record in self.records)
 
     def like(
         self, structure: Structure | None = None, records: Sequence[Any] | None = None, **changes: Any
@@ -258,7 +258,7 @@ class Problem:
         if self._cache is not None and _equal((point, gain), self._cache[:2]):
             return self._cache[2]
         theta, starts = self.unpack(point)
-        rows, blocks, places, finite = [], [], [], True
+        rows, blocks, places, gaps, finite = [], [], [], [], True
         judged = self.judged(theta)
         # simulation of each record with its sensitivities
         for i, engine in enumerate(self.engines):
@@ -275,12 +275,16 @@ class Problem:
             else:
                 error = np.full(engine.data.outputs.size, _FAILED)
                 block = np.zeros((error.size, width))
+            # what was not measured costs nothing
+            gaps.append(engine.data.there if engine.data.there is None else ~engine.data.there.ravel())
+            if gaps[i] is not None:
+                error[gaps[i]] = block[gaps[i]] = 0.0
             rows.append(error)
             blocks.append(block)
             places.append(self.felt_by(i))
         # priors as further rows: (unknown - mean) / standard deviation
         expected, prior = self.prior_rows(point)
-        result = Evaluation(np.concatenate([*rows, expected]), blocks, places, prior, finite)
+        result = Evaluation(np.concatenate([*rows, expected]), blocks, places, gaps, prior, finite)
         self._cache = (point.copy(), gain, result)
         return result
 
@@ -323,7 +327,7 @@ class Problem:
     def judged(self, theta: Array) -> list[Array]:
         """Return the weight (n_y, N) of the samples of each record.
 
-        The weight is zero for samples that a delay hides.
+        The weight is zero for samples that a delay hides, and NaN for those that were not measured.
 
         The weights of the others increase, so that no delay gains by hiding what does not fit, and
         sums of squares stay comparable.
@@ -333,12 +337,13 @@ class Problem:
             # samples that the model cannot determine, behind a delay, have no weight
             seen = engine.judged(theta)
             found.append(seen / (1.0 if seen.all() else np.sqrt(seen.mean(axis=1, keepdims=True))))
+            found[-1][np.isnan(engine.data.outputs)] = np.nan
         return found
 
     @cached_property
     def level(self) -> float:
         """Half the sum of squares of no model at all."""
-        return 0.5 * sum(float(np.sum((self.weights[:, None] * r.outputs) ** 2)) for r in self.records)
+        return 0.5 * sum(float(np.nansum((self.weights[:, None] * r.outputs) ** 2)) for r in self.records)
 
     def cost(self, point: Array) -> float:
         """Half the sum of squares."""
@@ -396,7 +401,10 @@ class Problem:
         return found
 
     def blocks(self, point: Array) -> list[tuple[Array, Array]]:
-        """Residual (n_y, N) and Jacobian (n_y, N, p) of each window."""
+        """Residual (n_y, N) and Jacobian (n_y, N, p) of each window.
+
+        They are NaN where nothing was measured.
+        """
         residuals, jacobians, _ = zip(*self.own_blocks(point), strict=True)
         return list(zip(residuals, self.whole(jacobians), strict=True))
 
@@ -417,20 +425,16 @@ class Problem:
     ) -> list[tuple[Array, Array, NDArray[np.intp]]]:
         """Return residual, Jacobian and indices of the unknowns of each window.
 
-        The Jacobian, (n_y, N, .), has a column for each unknown that affects the window.
+        The Jacobian, (n_y, N, .), has a column for each unknown that affects the window. Both are NaN where
+        nothing was measured.
         """
         return self.split(self.evaluate(point, gain))
 
     def split(self, evaluation: Evaluation) -> list[tuple[Array, Array, NDArray[np.intp]]]:
         """An evaluation as `own_blocks`."""
-        found = []
         # rows of each record, in its shape (n_y, N)
-        for record, (rows, block), columns in zip(
-            self.records, evaluation.by_record, evaluation.columns, strict=True
-        ):
-            shape = record.outputs.shape
-            found.append((evaluation.residual[rows].reshape(shape), block.reshape(*shape, -1), columns))
-        return found
+        every = range(len(self.records))
+        return [(*evaluation.of_record(i, self.weights.size), evaluation.columns[i]) for i in every]
 
     def felt_by(self, record: int) -> NDArray[np.intp]:
         """Return the indices of the unknowns that affect a record.
@@ -491,7 +495,7 @@ def natural_sizes(structure: Structure, records: Sequence[Measurement]) -> Array
     model = structure.model
     # rms level of each input and output over all records
     levels = {
-        label: float(np.sqrt(np.mean(np.concatenate([r[i] for r in rows]) ** 2))) or 1.0
+        label: float(np.sqrt(np.nanmean(np.concatenate([r[i] for r in rows]) ** 2))) or 1.0
         for labels, rows in (
             (structure.linear_model.input_labels, [r.inputs for r in records]),
             (structure.linear_model.output_labels, [r.outputs for r in records]),
@@ -526,6 +530,8 @@ class Evaluation:
         Jacobian of the rows of each record, by what they feel alone.
     columns : list of ndarray of int
         Unknowns that these are: the coefficients and the initial state of that record.
+    gaps : list of ndarray of bool, or None
+        Rows of each record that were not measured, None for none. Residual and Jacobian are zero there.
     prior : ndarray, shape (., size)
         Jacobian of the rows of the priors.
     finite : bool
@@ -535,6 +541,7 @@ class Evaluation:
     residual: Array
     blocks: list[Array]
     columns: list[NDArray[np.intp]]
+    gaps: list[NDArray[np.bool_] | None]
     prior: Array
     finite: bool
 
@@ -543,6 +550,17 @@ class Evaluation:
         """Rows of each record, and its Jacobian by what it feels alone."""
         ends = np.cumsum([len(block) for block in self.blocks])
         return [(slice(int(end) - len(b), int(end)), b) for end, b in zip(ends, self.blocks, strict=True)]
+
+    def of_record(self, record: int, n_outputs: int) -> tuple[Array, Array]:
+        """Return residual (n_y, N) and Jacobian (n_y, N, .) of a record.
+
+        They are NaN where nothing was measured.
+        """
+        (rows, block), gaps = self.by_record[record], self.gaps[record]
+        residual = self.residual[rows]
+        if gaps is not None:
+            residual, block = np.where(gaps, np.nan, residual), np.where(gaps[:, None], np.nan, block)
+        return residual.reshape(n_outputs, -1), block.reshape(n_outputs, -1, block.shape[1])
 
     def bordered(
         self, count: int, whitener: Whitener | None, turn: Callable[[Array], Array], kept: Any = ...
@@ -570,9 +588,7 @@ class Evaluation:
             residual = self.residual[rows]
             # whiten the record; the priors have unit variance
             if whitener is not None:
-                shape = (len(whitener.filters), -1)
-                residual = whitener.apply([residual.reshape(shape)])
-                block = whitener.apply([block.reshape(*shape, block.shape[1])])
+                residual, block = (whitener.apply([x]) for x in self.of_record(k, len(whitener.filters)))
             # derivatives by the coordinates, then only the columns that move
             J = turn(np.concatenate([block, self.prior[np.ix_(held, columns)]]))
             blocks.append(np.hstack([J[:, :count][:, kept], J[:, count:]]))
@@ -727,9 +743,10 @@ def _rows(problem: Problem, evaluation: Evaluation, point: Array, whitener: Whit
         # diverged: infinite cost, the step is rejected
         return Rows(np.full(1, np.inf), evaluation.prior, evaluation)
     # whiten the rows of the records, not those of the priors
-    parts = problem.split(evaluation)
-    residuals = [r if whitener is None else whitener.apply([r]) for r, _, _ in parts]
-    residual = np.concatenate([*(r.ravel() for r in residuals), evaluation.residual[problem.n_points :]])
+    residual, parts = evaluation.residual, problem.split(evaluation)
+    if whitener is not None:
+        tail = residual[len(residual) - len(evaluation.prior) :]
+        residual = np.concatenate([*(whitener.apply([r]) for r, _, _ in parts), tail])
     turn = problem.coordinates.columns
     # one record: its Jacobian as it is
     if len(parts) == 1:

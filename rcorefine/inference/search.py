@@ -374,7 +374,7 @@ def step_matters(coarse: Problem, fine: Problem, point: Array) -> float:
             np.inf if evaluation.finite or finer.finite else 0.0
         )  # if both diverge, the substeps are not the reason
     # change of the residual by the finer integration, as a Gauss-Newton step
-    n = coarse.n_points
+    n = len(evaluation.residual) - len(evaluation.prior)
     difference = finer.residual[:n] - evaluation.residual[:n]
     normal, slope = evaluation.normal(difference)
     scale = np.sqrt(np.diag(normal))
@@ -385,8 +385,8 @@ def step_matters(coarse: Problem, fine: Problem, point: Array) -> float:
     residuals, slopes, columns = zip(*coarse.own_blocks(point), strict=True)
     unsure = parameter_uncertainty(residuals, slopes, np.zeros(coarse.size), columns=columns)
     spread = np.sqrt(np.maximum(np.diag(unsure.covariance), 1e-300)) * scale
-    noise = np.sqrt(np.mean(evaluation.residual[:n] ** 2))
-    change = np.sqrt(np.mean(difference**2))
+    noise = np.sqrt(np.sum(evaluation.residual[:n] ** 2) / coarse.n_points)
+    change = np.sqrt(np.sum(difference**2) / coarse.n_points)
     return float(
         max(np.max(np.abs(shift / spread)[: coarse.n_theta], initial=0.0), change / max(noise, 1e-300))
     )

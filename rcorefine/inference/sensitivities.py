@@ -242,7 +242,8 @@ def _own_columns(candidate: Candidate, ratio: float) -> list[Array]:
                 column = change[:, :, None]
             else:
                 column = weights[:, :, None] * run.sensitivity[:, :, p:]
-            ok = run.blew_up < 0 and np.isfinite(run.outputs).all() and np.isfinite(column).all()
+            sound = np.isfinite(column[~np.isnan(judged[i])]).all()
+            ok = run.blew_up < 0 and np.isfinite(run.outputs).all() and sound
             wide[i].append(column if ok else np.zeros_like(column))
     return [np.concatenate(parts, axis=2) for parts in wide]
 
@@ -293,8 +294,6 @@ def force_responses(
     A, C0 = fitted.linearized()
     linear = structure.linear_model
     n, n0 = structure.n_states, linear.n_states
-    if not forces:  # a model without places
-        return np.zeros((structure.n_outputs, data.n_samples, 0))
     names = list(dict.fromkeys(name for name, _ in forces))
     places = {port.name for port in structure.model.ports}
     # a force at a place, or a signal added to an input
@@ -313,6 +312,10 @@ def force_responses(
     where = [names.index(name) for name, _ in forces]
     drives, F = (G0[:, where], G1[:, where]), np.array([force for _, force in forces]).T  # (N, k)
     # responses from rest, in units of the noise
-    out = linear_responses(Phi, drives, C0, through[:, where], F, gain=gain)
+    there = ~np.isnan(data.outputs.T)
+    out = linear_responses(Phi, drives, C0, through[:, where], F, gain=gain, use=there)
     with np.errstate(over="ignore"):  # a unit of a coefficient may have an enormous effect
-        return np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])
+        found = np.asarray(np.moveaxis(out, 0, 1) * fitted.problem.weights[:, None, None])
+    # where there are gaps NaN stands for these, not for a response without bounds
+    found[np.isnan(found) & ~there.all()] = np.inf
+    return found

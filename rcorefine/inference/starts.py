@@ -16,6 +16,7 @@ from scipy.signal import fftconvolve, find_peaks, welch
 
 from ..data.measurement import Measurement
 from ..data.response_record import ResponseRecord
+from ..data.signals import difference, over_time
 from ..engine.amplitude_response import channel_signal, engine_on, port_phasors, sampled
 from ..engine.engine import Engine
 from ..engine.observer import existing_gain
@@ -70,7 +71,9 @@ def _free_run(structure: Structure, record: Measurement) -> list[tuple[Any, ...]
         return []
     # time since the recording began
     passed = record.elapsed + record.dt * np.arange(record.n_samples)
-    pairs = zip(record.outputs, run.outputs, strict=True)
+    # a sample that was not measured correlates with nothing
+    level = over_time(np.mean, record.outputs)[:, None]
+    pairs = zip(np.where(np.isnan(record.outputs), level, record.outputs), run.outputs, strict=True)
     return [(passed, y, free) for y, free in pairs if np.ptp(y) > 0 < np.ptp(free)]
 
 
@@ -130,7 +133,7 @@ class Motion:
         run = engine.run(theta, sensitivity=False, gain=gain, histories=True, check=False)
         self.data: Any = data
         self.states = np.nan_to_num(run.states)
-        self.residual: Array | NDArray[np.complex128] = data.outputs - np.nan_to_num(run.outputs)
+        self.residual: Array | NDArray[np.complex128] = -difference(np.nan_to_num(run.outputs), data.outputs)
         self.companions: list[Motion] = []  # the same system in other records
         self._structure = structure
 
@@ -139,13 +142,13 @@ class Motion:
         return sensed(self._structure.model, name, self.states, self.data.inputs)
 
     def channel(self, place: str, at_input: bool) -> Array:
-        """Return the signal (N,) at an input or output."""
+        """Return the samples that were measured at an input or output."""
         data, linear = self.data, self._structure.linear_model
         labels, rows, first = linear.output_labels, data.outputs, data.n_inputs
         if at_input:
             labels, rows, first = linear.input_labels, data.inputs, 0
         channel = labels.index(place)
-        return np.asarray(rows[channel] + data.origin[first + channel])
+        return np.asarray(rows[channel][~np.isnan(rows[channel])] + data.origin[first + channel])
 
     def spectrum(self) -> tuple[Array, Array]:
         """Return frequencies in rad/s and the power of the residual there."""
@@ -422,5 +425,5 @@ def _free_run_cost(problem: Problem, theta: Array) -> float:
         run = engine.run(theta, sensitivity=False, check=False)
         if run.blew_up >= 0 or not np.isfinite(run.outputs).all():
             return np.inf
-        total += float(np.sum((problem.weights[:, None] * (run.outputs - engine.data.outputs)) ** 2))
+        total += float(np.sum((problem.weights[:, None] * difference(run.outputs, engine.data.outputs)) ** 2))
     return total

@@ -12,6 +12,7 @@ from scipy import stats
 from scipy.linalg.lapack import dpotrf, dtrtrs
 
 from ..exceptions import DataError
+from ..jit import compiled
 from ..systems.linear import Array
 
 #: Share of an output's standard deviation below which a residual in time is that of the arithmetic.
@@ -45,10 +46,14 @@ class Whitener:
         Whitening polynomials, leading coefficient 1.
     scales : ndarray, shape (n_y,)
         Standard deviation of each innovation.
+    steps : tuple of int, or None
+        Where outputs have gaps: samples from one reading of each sensor to the next, on which its filter
+        works. Samples that were not measured are NaN in each block.
     """
 
     filters: tuple[Array, ...]
     scales: Array
+    steps: tuple[int, ...] | None = None
 
     @classmethod
     def fit(
@@ -71,10 +76,11 @@ class Whitener:
             Standard deviation below which an innovation is rounding.
         """
         # one model for each output, over all records
-        models = [autoregression(row, order=order, most=most) for row in np.concatenate(residuals, axis=1)]
+        rows, steps = readings(residuals)
+        models = [autoregression(row, order=order, most=most) for row in rows]
         left = np.hypot(np.sqrt([variance for _, variance in models]), floor)
         # zero innovations (no sample counts, or the observer follows the record) are no noise level
-        return cls(tuple(a for a, _ in models), left + (left == 0))
+        return cls(tuple(a for a, _ in models), left + (left == 0), steps)
 
     @property
     def orders(self) -> tuple[int, ...]:
@@ -84,9 +90,11 @@ class Whitener:
     def of_output(self, i: int, signal: Array) -> Array:
         """Whiten a signal (N,) or (N, k) of one output.
 
-        The result begins at the first sample with a whole past.
+        The result begins at the first sample with a whole past, and has no row where nothing was measured.
         """
         a = self.filters[i]
+        if self.steps is not None:
+            return np.asarray(over_gaps(a, signal, self.steps[i]) / self.scales[i])
         with np.errstate(over="ignore"):  # columns of coefficients with a large unit may overflow
             return np.asarray(innovations(a, signal)[a.size - 1 :] / self.scales[i])
 
@@ -109,17 +117,104 @@ class Whitener:
             )
         return white
 
-    def log_likelihood(self, n_samples: int) -> float:
-        """Return the log-likelihood of the fitted residual, up to a constant.
-
-        `n_samples` is the number of its samples.
-        """
-        return -n_samples * float(np.sum(np.log(self.scales)))
+    def log_likelihood(self, residuals: Sequence[Array]) -> float:
+        """Return the log-likelihood of residuals (n_y, N), up to a constant."""
+        joined = np.concatenate(residuals, axis=1)
+        measured = np.mean(~np.isnan(joined), axis=1)  # share of the samples
+        return -len(joined[0]) * float(np.sum(measured * np.log(self.scales)))
 
     def outputs(self, blocks: Sequence[Array]) -> NDArray[np.intp]:
         """Output that each row of `apply` belongs to."""
-        orders = self.orders
-        return np.concatenate([np.full(b.shape[1] - p, i) for b in blocks for i, p in enumerate(orders)])
+        counts = [np.count_nonzero(~np.isnan(row)) for block in blocks for row in block]
+        orders = self.orders * len(blocks)
+        rows = np.arange(len(counts)) % len(self.orders)
+        return np.repeat(rows, np.maximum(np.subtract(counts, orders), 0))
+
+
+def readings(residuals: Sequence[Array]) -> tuple[list[Array], tuple[int, ...] | None]:
+    """Return the readings of each output, one record after the other.
+
+    What lies between the readings of a slow sensor is left out; a reading that is missing is NaN. The second
+    value is how many samples each sensor takes for one, None where no record (n_y, N) has gaps.
+    """
+    joined = np.concatenate(residuals, axis=1)
+    if not np.isnan(joined).any():
+        return list(joined), None
+    rows, steps = [], []
+    for every in zip(*residuals, strict=True):
+        at = [np.flatnonzero(~np.isnan(row)) for row in every]
+        apart = np.concatenate([np.diff(places) for places in at])
+        steps.append(int(np.gcd.reduce(apart)) or 1)
+        pieces = [row[p[0] : p[-1] + 1 : steps[-1]] for row, p in zip(every, at, strict=True) if p.size]
+        rows.append(np.concatenate([joined[0, :0], *pieces]))
+    return rows, tuple(steps)
+
+
+def white_part(a: Array, signal: Array) -> Array:
+    """Return the innovations of a signal with a past, over gaps too."""
+    return over_gaps(a, signal) if np.isnan(signal).any() else innovations(a, signal)[a.size - 1 :]
+
+
+_UNKNOWN = 1e8  # variance of the values before the first sample, over that of the innovations
+
+
+def over_gaps(a: Array, signal: Array, step: int = 1) -> Array:
+    """Return the innovations of the samples that are not NaN.
+
+    Each is that of the Kalman filter whose states are the last values (Jones, Technometrics 22 (1980) 389),
+    over its standard deviation in units of the filter's.
+
+    Parameters
+    ----------
+    a : ndarray, shape (order + 1,)
+        Whitening filter.
+    signal : ndarray, shape (N,) or (N, k)
+        Signal or columns; NaN in all columns where nothing was measured.
+    step : int
+        Samples from one reading to the next.
+
+    Returns
+    -------
+    ndarray, shape (n,) or (n, k)
+        Without the first ones, which the filter needs for a past.
+
+    Examples
+    --------
+    >>> signal = np.array([1.0, 2.0, np.nan, 4.0])
+    >>> print(over_gaps(np.array([1.0, -0.5]), signal).round(4))  # the last: 4 - 0.25 * 2 over sqrt(1.25)
+    [1.5    3.1305]
+    """
+    columns = signal.reshape(len(signal), -1)
+    known = ~np.isnan(columns[:, 0])
+    if a.size == 1:
+        return signal[known]
+    found = np.empty((np.count_nonzero(known), columns.shape[1]))
+    at = 0
+    for first in np.unique(np.flatnonzero(known) % step):
+        part = known[first::step]
+        _bridge(a, columns[first::step], part, _UNKNOWN * np.eye(a.size - 1), found[at:])
+        at += int(np.count_nonzero(part))
+    return np.asarray(found[a.size - 1 :].reshape(-1, *signal.shape[1:]))
+
+
+@compiled
+def _bridge(a, signal, known, P, found):  # type: ignore[no-untyped-def]
+    """Filter columns (N, k) over unknown samples, into the rows of `found`."""
+    b, at = a[1:], 0
+    x = np.zeros((b.size, signal.shape[1]))  # the last values, the newest first
+    for k in range(len(signal)):
+        # prediction y = -b'x, its covariance with the last values g = -Pb, its variance s = b'Pb + 1
+        g, y = -(P @ b), -(b @ x)
+        s = 1.0 - b @ g
+        if known[k]:
+            e = signal[k] - y
+            found[at], at = e / np.sqrt(s), at + 1
+            x += np.outer(g, e / s)
+            P -= np.outer(g, g / s)
+            y, g, s = signal[k], 0.0 * g, 0.0
+        # on by one sample
+        x[1:], P[1:, 1:] = x[:-1].copy(), P[:-1, :-1].copy()
+        x[0], P[0, 0], P[0, 1:], P[1:, 0] = y, s, g[:-1], g[:-1]
 
 
 def huber_weights(residual: Array, outputs: NDArray[np.intp]) -> Array | None:
@@ -189,7 +284,7 @@ def autoregression(
     Parameters
     ----------
     signal : ndarray, shape (N,)
-        Signal; its mean is taken out, but for one with `unsure`.
+        Signal; its mean is taken out, but for one with `unsure`. Samples that are NaN were not measured.
     order : int, optional
         Given rather than chosen, where likelihoods of several signals are compared.
     known : ndarray of bool, shape (N,), optional
@@ -223,20 +318,13 @@ def autoregression(
     >>> print(a.round(1), round(variance, 1))
     [ 1.  -0.8] 1.0
     """
+    if known is None and np.isnan(signal).any():
+        return _over_gaps(signal, order, price, most, unsure)
     whole = np.ones(signal.size, dtype=bool) if known is None else known
     r = signal - (signal[whole].mean() if whole.any() and unsure is None else 0.0)
     longest = highest_order(int(whole.sum()))
     most = order if order is not None else longest if most is None else min(most, longest)
-    n = r.size - most
-    # sums of products of lagged samples, (order + 1, order + 1)
-    if whole.all():
-        products = _products(r, most)
-        for column in () if unsure is None else unsure.T:
-            products += _products(column, most)
-    else:
-        complete = sliding_window_view(whole, most + 1).all(axis=1)
-        rows, n = sliding_window_view(r, most + 1)[complete, ::-1], int(complete.sum())
-        products = rows.T @ rows
+    products, n = _sums(r, unsure, whole, most)
     power = float(products[0, 0])
     if most == 0 or not 0.0 < power < np.inf:
         return np.eye(1, 1 + (order or 0))[0], power / max(n, 1)
@@ -253,6 +341,42 @@ def autoregression(
     # coefficients of the chosen order
     past = dtrtrs(lower[:best, :best], along[:best], lower=True, trans=True)[0] if best else along[:0]
     return np.concatenate([[1.0], -past]), float(rest[best]) / n
+
+
+def _over_gaps(
+    signal: Array, order: int | None, price: float, most: int | None, unsure: Array | None
+) -> tuple[Array, float]:
+    """Fit an autoregressive model to a signal with gaps, as `autoregression`."""
+    whole = ~np.isnan(signal)
+    if order is None:
+        # largest order for which enough samples have a whole past, then that of the criterion
+        orders = range(highest_order(int(whole.sum())), 0, -1)
+        longest = next((p for p in orders if highest_order(int(_complete(whole, p).sum())) >= p), 0)
+        most = longest if most is None else min(most, longest)
+        order = autoregression(signal, known=whole, price=price, most=most, unsure=unsure)[0].size - 1
+    a, _ = autoregression(signal, order=order, known=whole, unsure=unsure)
+    # the innovations over the gaps count for the variance, too
+    r = signal - (signal[whole].mean() if unsure is None and whole.any() else 0.0)
+    white = over_gaps(a, np.column_stack([r] if unsure is None else [r, unsure]))
+    return a, float(np.sum(white**2)) / max(len(white), 1)
+
+
+def _sums(r: Array, unsure: Array | None, whole: NDArray[np.bool_], most: int) -> tuple[Array, int]:
+    """Return the sums of products of lagged samples, and how many there are.
+
+    The shape is (most + 1, most + 1).
+    """
+    every = [r] if unsure is None else [r, *unsure.T]
+    if whole.all():
+        return np.sum([_products(column, most) for column in every], axis=0), r.size - most
+    complete = _complete(whole, most)
+    rows = [sliding_window_view(column, most + 1)[complete, ::-1] for column in every]
+    return np.sum([row.T @ row for row in rows], axis=0), int(complete.sum())
+
+
+def _complete(whole: NDArray[np.bool_], order: int) -> NDArray[np.bool_]:
+    """Return which samples are known with all of their past."""
+    return np.asarray(sliding_window_view(whole, order + 1).all(axis=1))
 
 
 def _products(r: Array, most: int) -> Array:

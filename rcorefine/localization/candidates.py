@@ -266,7 +266,7 @@ def _fit_scenario(setting: SharedSetting, name: str, effects: tuple[Effect, ...]
     joint = setting.joint(effects)
     # likelihood of the residual whitened by an autoregressive model
     structure, whitener = joint.structure, Whitener.fit([joint.residual], floor=1e-150)
-    value = whitener.log_likelihood(joint.residual.shape[1])
+    value = whitener.log_likelihood([joint.residual])
     spread = joint.spread(np.ones(structure.n_parameters, dtype=bool))
     changes, std, percent = {}, {}, {}
     # changes with deviations, absolute and in percent of the nominal value

@@ -28,7 +28,7 @@ from ..inference.parameters import weak_priors
 from ..inference.problem import Problem, descend
 from ..inference.search import starting_states
 from ..inference.starts import Motion
-from ..inference.whitening import Whitener, autoregression
+from ..inference.whitening import Whitener, autoregression, readings
 from ..systems.linear import Array
 
 _POINTS = 250
@@ -419,8 +419,8 @@ def best_fit(fit: Callable[[], Fit], motion: Motion) -> Fit:
     found = fit()
     found.run(motion, None)
     # a white residual means that the fit has found its minimum
-    residual = np.concatenate([r for r, _, _ in found.problem.own_blocks(found.result.point)], axis=1)
-    powers = [(float(np.mean(row**2)), row) for row in residual]
+    residual, _ = readings([r for r, _, _ in found.problem.own_blocks(found.result.point)])
+    powers = [(float(np.nanmean(row**2)), row) for row in residual]
     # innovation variance over residual power, the smallest of all outputs
     whitest = min([1.0, *(autoregression(row)[1] / power for power, row in powers if power > 0)])
     if whitest > _WHITE or not found.structure.is_linear:

@@ -15,6 +15,7 @@ from scipy.stats import norm
 from ..arguments import as_choice, as_number, as_share, as_state
 from ..data.measurement import Measurement
 from ..data.records import as_records
+from ..data.signals import over_time
 from ..diagnosis.dead_sensors import without_dead_sensors
 from ..diagnosis.residual_tests import TestedResidual, run_tests
 from ..diagnosis.words import failed_test
@@ -88,7 +89,7 @@ def assessed(
         significance=significance,
         power=power,
         fit=joint.fit_percent,
-        rmse=np.sqrt(np.mean(residual**2, axis=1)),
+        rmse=np.sqrt(over_time(np.mean, residual**2)),
         initial_fit=_initial_fit(Structure(joint.structure.model), joint.records),
         residual_orders=joint.orders,
         tests=tests,
@@ -312,8 +313,8 @@ def localize_damage(
     for record in records:
         check_channels(physical.linear, record)
         record.check_excitation("localize_damage")
-        for label, y in zip(record.output_labels, record.outputs, strict=True):
-            if np.ptp(y) == 0:
+        for label, span in zip(record.output_labels, over_time(np.ptp, record.outputs), strict=True):
+            if span == 0:
                 raise DataError(f"output {label!r} of record {record.name!r} never changes; check the sensor")
     with own_arithmetic():
         # long records are cut into segments with their own initial states

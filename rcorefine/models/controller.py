@@ -12,6 +12,7 @@ import numpy as np
 
 from ..arguments import as_array, as_number
 from ..data.measurement import Measurement
+from ..data.signals import check_whole
 from ..effects.channels import InputDelay, InputRange, InputSaturation
 from ..effects.effect import Effect
 from ..exceptions import ModelError
@@ -341,6 +342,8 @@ def answer(
         return None, missing
     A, B, C, D = controller.at(data.dt)
     read = signals[[labels.index(name) for name in names]]
+    if np.isnan(read).any():
+        check_whole(data, f"controller {controller.linear.name!r}, whose command is not recorded,")
     # simulate the controller: u(k) = C x(k) + D r(k), x(k+1) = A x(k) + B r(k)
     given, pushed, x = D @ read, B @ read, np.zeros(A.shape[0])
     for k in range(data.n_samples):

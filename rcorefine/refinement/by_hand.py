@@ -20,6 +20,7 @@ from ..comparison.failure_map.state import ResidualForce, residual_force
 from ..comparison.result import Comparison
 from ..data.measurement import Measurement
 from ..data.records import as_record
+from ..data.signals import difference
 from ..effects.effect import Effect, unit_forces
 from ..engine.amplitude_response import engine_on
 from ..engine.controlled import checked_horizon
@@ -173,7 +174,8 @@ class ByHand:
             columns = np.hstack([block_diag(*free), np.tile(offsets, (runs.shape[1], 1))])
             # least squares with the weights of the outputs
             weights = np.tile(output_weights(pieces, None), runs.shape[1])
-            rows, error = weights[:, None] * columns, weights * (self.record.outputs - runs).T.ravel()
+            error = -weights * difference(runs, self.record.outputs).T.ravel()
+            rows = np.where(np.isnan(self.record.outputs.T.ravel()), 0.0, weights)[:, None] * columns
             added = columns @ np.linalg.lstsq(rows.T @ rows, rows.T @ error, rcond=1e-10)[0]
             runs = runs + added.reshape(-1, linear.n_outputs).T
         return runs, fit_of([self.record], [runs - self.record.outputs])[0]

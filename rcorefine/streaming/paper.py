@@ -8,7 +8,7 @@ does to the inverse does not move the minimizer. Signals are scaled to unit size
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -279,7 +279,7 @@ storable(Stage, Record, Memory, Scales)
 class Diverged(DivergenceError):
     """Divergence.
 
-    `sound` holds the memory before these samples, and the block before the divergence.
+    `sound` holds the memory before these samples, the block before the divergence, and the course so far.
     """
 
     def __init__(self, message: str, sound: Any = None) -> None:  # None: unpickled
@@ -292,8 +292,8 @@ def _unavailable(what: str) -> Any:
 
     def refuse(self: Any) -> None:
         raise RCOError(
-            f"{what} belong to the block filter; build RCORefiner(model, dt=...) without the paper's "
-            "settings (static_theta has the paper's coefficients)"
+            f"{what} belong to the Kalman filter: build RCORefiner(model, dt=..., effects=[...]), without the "
+            "paper's settings (static_theta has the paper's coefficients)"
         )
 
     return property(refuse)
@@ -422,13 +422,16 @@ class PaperStages:
                 )
             outputs[k, row == 0] = outputs[k - 1, row == 0]
         inputs, total = np.concatenate([memory.inputs, block.inputs]), memory.n_samples + len(block.inputs)
-        scales = self._found_scales(inputs, outputs, held, last)
+        scales, count = self._found_scales(inputs, outputs, held, last)
         if scales is None:
             return replace(memory, inputs=inputs, outputs=outputs, n_samples=total), []
-        return self._run(self._begin(scales), whole_block(inputs, outputs))
+        first = self._run(self._begin(scales), whole_block(inputs[:count], outputs[:count]))
+        return self._run(first[0], block.part(count - held, len(block.inputs)), first[1])
 
-    def _found_scales(self, inputs: Array, outputs: Array, before: int, last: bool) -> Scales | None:
-        """Return the scales as soon as the samples determine them.
+    def _found_scales(
+        self, inputs: Array, outputs: Array, before: int, last: bool
+    ) -> tuple[Scales | None, int]:
+        """Return the scales as soon as samples determine them, and how many.
 
         They do not depend on how the stream is cut into blocks.
         """
@@ -438,12 +441,15 @@ class PaperStages:
         while count <= min(longest, len(inputs)):
             w, y = inputs[:count].T, outputs[:count].T
             if count > before and (count == longest or (is_settled(w) and is_settled(y))):
-                return measured_scales(self.plant, w, y, labels)
+                return measured_scales(self.plant, w, y, labels), count
             count *= 2
-        return measured_scales(self.plant, inputs.T, outputs.T, labels) if last else None
+        whole = len(inputs)
+        return (measured_scales(self.plant, inputs.T, outputs.T, labels) if last else None), whole
 
-    def _run(self, before: Memory, block: Block) -> tuple[Memory, list[tuple[Record, Array]]]:
-        """Run the stages over a block.
+    def _run(
+        self, before: Memory, block: Block, records: Sequence[tuple[Record, Array]] = ()
+    ) -> tuple[Memory, list[tuple[Record, Array]]]:
+        """Run the stages over a block, behind those whose course is given.
 
         A copy changes, so that an error leaves the memory as it was.
         """
@@ -466,7 +472,7 @@ class PaperStages:
             where = f"sample {sample}" + ("" if step is None else f" (t = {sample * step:.6g} s)")
             mu, alpha = s.markov[diverged - 1], s.learning_rate[diverged - 1]
             message = explain(plant, self.delay, mu, alpha, diverged, where, float(peak[0]))
-            raise Diverged(message, (before, block.part(0, done)))
+            raise Diverged(message, (before, block.part(0, done), records))
         empty = np.zeros((0, self._sizes[1])), np.zeros((0, n_y))
         total = before.n_samples + count
         after = Memory((stages[0], stages[1]), peak, levels, recent, *empty, total, scales)
@@ -477,7 +483,7 @@ class PaperStages:
             record.z1 * scales.outputs, record.z2 * scales.outputs, self._in_units(record.theta1, 0, scales),
             self._in_units(record.theta2, 1, scales), record.x * scales.states,
         )  # fmt: skip
-        return after, [(shown, np.where(block.use > 0, block.outputs, np.nan))]
+        return after, [*records, (shown, np.where(block.use > 0, block.outputs, np.nan))]
 
     # -- results -------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ from ..arguments import as_choice
 from ..comparison.model_error import horizon_error
 from ..comparison.result import KINDS, Comparison
 from ..comparison.signals import Decay, correlogram, decay_of
+from ..data.signals import check_whole
 from ..exceptions import DataError
 from ..results import counted
 from ..systems.linear import Array
@@ -28,6 +29,7 @@ def plot_decay(result: Comparison, frame: Frame) -> ct.ControlPlot:
     See `Comparison.plot`.
     """
     data, names = result.data, frame.labels(result.names)
+    check_whole(data, "plot('decay')")
     with frame.axes([2.2, 2.2] * data.n_outputs, 2) as (axes, lines):
         for i in range(data.n_outputs):
             measured = decay_of(data.outputs[i], data.dt, float(data.timepts[0]))
@@ -78,9 +80,9 @@ def comparison_table(result: Comparison) -> TextTable:
     rows = []
     for m, name in enumerate(result.names):
         for i, output in enumerate(data.output_labels):
-            worst = int(np.argmax(np.abs(residual[m, i])))
+            worst = int(np.nanargmax(np.abs(residual[m, i])))
             percent = f"{fit[m, i]:.5g}" if abs(fit[m, i]) >= 99.5 else number(fit[m, i], 3)
-            sizes = [number(rmse[m, i], 3), number(residual[m, i].mean(), 2)]
+            sizes = [number(rmse[m, i], 3), number(np.nanmean(residual[m, i]), 2)]
             sizes += [number(residual[m, i, worst], 3), number(data.timepts[worst])]
             rows.append([name, output, data.output_units[i], percent, *sizes])
     title = (
@@ -192,7 +194,7 @@ def _broken(times: Any, values: Any, starts: Sequence[int]) -> tuple[Any, Any]:
 
 def _focus(axis: Any, measured: Any, runs: Any) -> None:
     """Keep the record readable where a model runs far away."""
-    low, high = float(measured.min()), float(measured.max())
+    low, high = float(np.nanmin(measured)), float(np.nanmax(measured))
     span = (high - low) or max(abs(high), 1.0)
     reach = (max(float(runs.max()), high), min(float(runs.min()), low))
     if reach[0] > high + 2.0 * span or reach[1] < low - 2.0 * span:
@@ -210,6 +212,7 @@ def plot_residual(result: Comparison, frame: Frame) -> ct.ControlPlot:
     See `Comparison.plot`.
     """
     data = result.data
+    check_whole(data, "plot('residual')")
     names = frame.labels(result.names)
     residual = data.outputs[None] - result.runs
     lags = min(_LAGS, data.n_samples // 4)

@@ -32,7 +32,7 @@ def measurement_content(data: Measurement) -> Content:
     labels, units = data.input_labels + data.output_labels, data.input_units + data.output_units
     signals, rows = np.vstack([data.inputs, data.outputs]), []
     for k, (label, unit, signal) in enumerate(zip(labels, units, signals, strict=True)):
-        figures = (signal.min(), signal.mean(), signal.max(), signal.std())
+        figures = (np.nanmin(signal), np.nanmean(signal), np.nanmax(signal), np.nanstd(signal))
         rows.append([label, unit, "input" if k < data.n_inputs else "output", *map(number, figures)])
     title = (
         f"Record {data.name!r}: {data.n_samples} samples, dt = {number(data.dt, 6)} s, "

@@ -87,7 +87,7 @@ _FIGURES = ("name", "unit", "fit", "rmse", "bias")
 
 def _models(result: Comparison) -> list[dict[str, Any]]:
     """Return each model with its outputs and failures."""
-    bias = (result.data.outputs - result.runs).mean(axis=2)
+    bias = np.nanmean(result.data.outputs - result.runs, axis=2)
     figures = zip(np.atleast_2d(result.fit), np.atleast_2d(result.rmse), bias, strict=True)
     labels, units = result.data.output_labels, result.data.output_units
     models = []
@@ -440,6 +440,8 @@ def _comparison_answer(result: Comparison) -> tuple[list[str], bool]:
             f"The typical one-step prediction error is {sizes}.",
             "This does not show that an unstable model is adequate; use diagnose to test it.",
         ], True
+    if data.there is not None:
+        return [first, f"The typical error is {sizes}.", f"{found.notes[0]}."], False
     if not found:
         return [
             first,

@@ -162,7 +162,7 @@ class ResidualLikelihood:
 
         A constant is left out.
         """
-        return self._noise(remainder).log_likelihood(self.n_samples - self.order)
+        return self._noise(remainder).log_likelihood([remainder[:, self.order :]])
 
     def _whiten(self, signals: Array) -> Array:
         return self.whitener.apply([signals])

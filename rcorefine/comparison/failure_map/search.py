@@ -147,6 +147,13 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
     structure leads. The noise model of the leader is then used to judge all
     once more. p-values are multiplied by the number of regions (Bonferroni).
     """
+    rms, data = np.atleast_2d(comparison.rmse)[index], comparison.data
+    if data.there is not None:
+        gap = data.output_labels[int(np.argmin(data.there.all(axis=1)))]
+        said = (
+            f"{gap} has samples that were not measured; failures are searched in whole records, use diagnose"
+        )
+        return FailureMap(comparison.names[index], (), rms, (), (said,))
     scene = ModelOnRecord(comparison, index)
     notes: list[str] = []
     rows: tuple[Failure, ...] = ()
@@ -165,7 +172,6 @@ def failure_map(comparison: Comparison, index: int) -> FailureMap:
     # search all regions with the same likelihood
     else:
         rows, looked = _rows(scene), DIMENSIONS if scene.places else DIMENSIONS[:3]
-    rms = np.atleast_2d(comparison.rmse)[index]
     return FailureMap(comparison.names[index], rows, rms, looked, tuple(notes))
 
 
