@@ -661,8 +661,7 @@ def modern(given: dict[str, Any], old: dict[str, Any]) -> tuple[dict[str, Any], 
     FutureWarning
         With the line that replaces them.
     """
-    known = ("static", *_PAPERS, *_STAGE_ONE)
-    if unknown := [name for name in old if name not in known]:
+    if unknown := sorted(set(old) - {"static", *_PAPERS, *_STAGE_ONE}):
         raise TypeError(f"RCORefiner has no argument {unknown[0]!r}")
     static, papers = old.pop("static", "auto"), [name for name in _PAPERS if old.get(name) is not None]
     form, effects = static if isinstance(static, str) else "auto", None if isinstance(static, str) else static
