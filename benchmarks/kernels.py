@@ -55,10 +55,8 @@ def streams(n_samples: int, repeats: int) -> list[str]:
     cases: dict[str, tuple[rco.RCORefiner, np.ndarray, np.ndarray, int]] = {}
     for masses in (3, 6):
         for size in (1, 10, 1000):
-            cases[f"stiffnesses, {2 * masses} states, {size}"] = (
-                *chain(masses, 0.02, WARM_UP + n_samples),
-                size,
-            )
+            stream = chain(masses, 0.02, WARM_UP + n_samples)
+            cases[f"stiffnesses, {2 * masses} states, {size}"] = *stream, size
     plain, w, y = chain(3, 0.02, WARM_UP + n_samples)
     for kind in ("clearance", "cubic_stiffness", "coulomb_friction"):
         effects = [rco.Effect(kind, "link2")]

@@ -40,6 +40,7 @@ _FEW = 0.1  # share of outliers in a block that is otherwise fine
 _SOON, _TIMES = 500, 3  # surprises within so many samples: not the state alone was wrong
 _FLOOR = 1e-8  # of the size of an output: its rounding
 _WEAK = 0.1  # of its prior deviation: a direction that the first samples hardly determined
+_MISFIT = 1.1  # mean square of the simulation for colored noise over that for white noise
 _EXCITED = 0.1  # information of a block over what is forgotten, from which on all of that is forgotten
 _SILENT = 1e-2  # information of a sample over that of the first ones: below it nothing is forgotten
 _NOISE = 0.03  # of the size of an output: first guess of the noise
@@ -141,6 +142,17 @@ class Update(NamedTuple):
     rows: tuple[Any, ...]  #: sample and output of each
 
 
+class Pass(NamedTuple):
+    """Fit of the first samples for one model of the noise."""
+
+    point: Array  #: (d,), zeta of z = z0 + L zeta
+    root: Array  #: (d, d), square root of its covariance
+    left: Array  #: (N, n_y), residual
+    use: Flags  #: (N, n_y), samples that are no outliers
+    unsure: Array  #: (N, n_y, d), root of the covariance of the outputs: what the fit took out of the noise
+    model: Model  #: the samples at that point
+
+
 storable(FilterState, BlockCourse, Block)
 
 
@@ -240,7 +252,8 @@ class BlockFilter:
         whole = Block.joined([state.past, block])
         # the noise follows what the blocks leave
         if (state.n_samples + N) // _RING > state.n_samples // _RING and len(state.left) == _RING:
-            filters, scales = self._noise(state.left, np.isfinite(state.left), state.sizes)
+            most = None if state.filters.shape[1] > 1 else 0
+            filters, scales = self._noise(state.left, np.isfinite(state.left), state.sizes, most=most)
             state = state._replace(filters=filters, scales=scales)
         use = whole.use > 0
         use[:q] = False  # learned before: there for the whitening filter alone
@@ -316,28 +329,25 @@ class BlockFilter:
         starts = [prior.start, prior.theta, state.z[n:]] if len(first.inputs) <= _SOON else [state.z[n:]]
         starts = list({one.tobytes(): one for one in starts}.values())
         found = [np.linalg.lstsq(prior.root, start - prior.theta, rcond=None)[0] for start in starts]
-        points, use = [np.concatenate([np.zeros(n), zeta]) for zeta in found], first.use > 0
-        # first for white noise, then for the color that is left
-        for most in (None, None, None) if state.rounds else (0, None, None, None):
-            best = min((self._descend(new, first, z0, L, point, use) for point in points), key=_cost)
-            if not np.isfinite(best.cost):
-                raise DivergenceError(
-                    f"the static stage diverged before sample {state.n_samples}: the model grows beyond all "
-                    "numbers within the first samples. Place: choose other effects, give them a start or a "
-                    "prior"
-                )
-            v = np.where(first.use > 0, first.outputs - best.rows.more.outputs, np.nan)
-            # samples far beyond the others are no measurements
-            middle = np.ma.median(np.ma.masked_invalid(np.abs(v)), axis=0).filled(0.0)
-            use = (first.use > 0) & ~(np.abs(v) > _OUTLIER * np.maximum(1.5 * middle, 3 * _FLOOR * sizes))
-            A, points = best.rows.jacobian[: -(n + q)], [best.point]
-            solved = _Solved(A, np.zeros(len(A)))
-            unsure = best.rows.more.H @ (L @ solved.root)  # what the fit took out of the noise
-            filters, scales = self._noise(v, use, sizes, unsure, most)
-            new = new._replace(filters=filters, scales=scales)
-        z, root = z0 + L @ best.point, L @ solved.root
+        points = [np.concatenate([np.zeros(n), zeta]) for zeta in found]
+        # first for white noise, once more where its level was a guess
+        best = self._pass(new, first, z0, L, points, first.use > 0)
+        if state.rounds == 0:
+            level = self._noise(best.left, best.use, sizes, best.unsure, 0)[1]
+            best = self._pass(new._replace(scales=level), first, z0, L, [best.point], best.use)
+        noise = self._noise(best.left, best.use, sizes, best.unsure, 0)
+        # then for the color that is left, unless the simulation pays for it: that is a wrong structure
+        colored = best
+        for _ in range(2):
+            color = self._noise(colored.left, colored.use, sizes, colored.unsure)
+            new = new._replace(filters=color[0], scales=color[1])
+            colored = self._pass(new, first, z0, L, [colored.point], colored.use)
+        if np.nansum((colored.left / sizes) ** 2) < _MISFIT * np.nansum((best.left / sizes) ** 2):
+            best, noise = colored, self._noise(colored.left, colored.use, sizes, colored.unsure)
+        new = new._replace(filters=noise[0], scales=noise[1])
+        z, root, v = z0 + L @ best.point, L @ best.root, best.left
         z[n:] = np.clip(z[n:], *family.bounds)
-        power = self._power(new, best.rows.more, use)
+        power = self._power(new, best.model, best.use)
         new = new._replace(centre=z[n:].copy(), left=v[-_RING:], power=power)
         if family.one_to_one and len(v) == self._last:
             root, still = _held(root, n, prior.spread)
@@ -345,6 +355,25 @@ class BlockFilter:
         if len(v) == 128 and state.begun == 0:  # enough samples for the error of a mean
             family.check(first, v)
         return self._move_on(new, first, z, root, None)
+
+    def _pass(
+        self, state: FilterState, first: Block, z0: Array, L: Array, points: list[Array], use: Flags
+    ) -> Pass:
+        """Best of the descents from some points, for the noise that the state has."""
+        best = min((self._descend(state, first, z0, L, point, use) for point in points), key=_cost)
+        if not np.isfinite(best.cost):
+            raise DivergenceError(
+                f"the static stage diverged before sample {state.n_samples}: the model grows beyond all "
+                "numbers within the first samples. Place: choose other effects, give them a start or a prior"
+            )
+        model = best.rows.more
+        v = np.where(first.use > 0, first.outputs - model.outputs, np.nan)
+        # samples far beyond the others are no measurements
+        middle = np.ma.median(np.ma.masked_invalid(np.abs(v)), axis=0).filled(0.0)
+        near = np.abs(v) <= _OUTLIER * np.maximum(1.5 * middle, 3 * _FLOOR * state.sizes)
+        A = best.rows.jacobian[: -L.shape[1]]
+        root = _Solved(A, np.zeros(len(A))).root
+        return Pass(best.point, root, v, near, model.H @ (L @ root), model)
 
     def _descend(
         self, state: FilterState, first: Block, z0: Array, L: Array, begin: Array, use: Flags
