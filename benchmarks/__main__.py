@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,6 @@ from rcorefine.engine.nonlinear import nonlinear_system
 from rcorefine.engine.structure import Structure
 from rcorefine.jit import NUMBA
 
-from .kernels import WARM_UP, PlainNumpy, chain
 from .stage_one import compare as both_stages
 
 
@@ -85,37 +84,6 @@ def stages(samples: int, repeats: int) -> list[Row]:
         literal, ours, ratio, gap = both_stages(example, samples // 2, repeats)
         rows.append(Row(f"stage 1+2, {example.name}"[:21], "equations 23-42", ours, literal, ratio, gap))
     return rows
-
-
-def physical(samples: int, repeats: int) -> list[Row]:
-    """Three stiffnesses on a stream, in blocks of 1000, against the recursion in numpy."""
-    return [_physical(masses, samples, repeats) for masses in (3, 6)]
-
-
-def _physical(masses: int, samples: int, repeats: int) -> Row:
-    refiner, w, y = chain(masses, 0.02, WARM_UP + samples)
-    refiner.update(w[:, :WARM_UP], y[:, :WARM_UP])
-    part = refiner._estimator.filter
-    start, peers = part.memory, []
-
-    def restart() -> None:
-        part.memory = replace(start.copied(), kernel=start.kernel)
-
-    def ours() -> None:
-        restart()
-        for k in range(WARM_UP, WARM_UP + samples, 1000):
-            refiner.update(w[:, k : k + 1000], y[:, k : k + 1000])
-
-    def theirs() -> None:
-        restart()
-        peers.append(PlainNumpy(refiner))
-        for k in range(WARM_UP, WARM_UP + samples):
-            peers[-1].sample(w[:, k], y[:, k])
-
-    mine, other, ratio = in_turn(ours, theirs, repeats)
-    ours()
-    gap = float(np.abs(part.theta / peers[-1].v["theta"] - 1).max())
-    return Row(f"stream, {2 * masses} states", "numpy", mine / samples, other / samples, ratio, gap)
 
 
 def two_masses(k2: float, k3: float) -> rco.PhysicalModel:
@@ -266,7 +234,7 @@ def main() -> None:
         f"{'on' if NUMBA else 'off'}\n{'':39}{'ours':>9}{'peer':>9}{'ratio':>8}  error of peer\n"
     )
     rows: list[Row] = []
-    for part in (stages, physical, grey_box, free_run, own_law, reading):
+    for part in (stages, grey_box, free_run, own_law, reading):
         rows += (new := part(options.samples, options.repeats))
         sys.stdout.write("".join(f"{row}\n" for row in new))
         sys.stdout.flush()

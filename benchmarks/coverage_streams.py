@@ -96,12 +96,14 @@ def main() -> None:
                         writer.writerow(row)
                         stream.flush()
                         rows.append(row)
-                    mine = [r for r in rows if (r["way"], r["noise"], int(r["samples"])) == (way, noise, samples)]
+                    mine = [
+                        r for r in rows if (r["way"], r["noise"], int(r["samples"])) == (way, noise, samples)
+                    ]
                     inside, values = (sum(int(r[name]) for r in mine) for name in ("inside", "values"))
                     ratio = np.median([float(r["ratio"]) for r in mine])
                     print(
-                        f"{way:8s} {noise:9s} {samples:5d} samples: {inside:4d} of {values:4d} values within two"
-                        f" ({100 * inside / values:5.1f} %), error over deviation {ratio:.2f}",
+                        f"{way:8s} {noise:9s} {samples:5d} samples: {inside:4d} of {values:4d} values"
+                        f" within two ({100 * inside / values:5.1f} %), error over deviation {ratio:.2f}",
                         flush=True,
                     )
 

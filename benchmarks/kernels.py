@@ -1,11 +1,10 @@
-"""Speed of the physical stage on a stream, with the accuracy beside every time.
+"""Speed of the refiner on a stream, and of a free run.
 
     python benchmarks/kernels.py [--samples 4000] [--repeats 5]
 
-The same recursion in plain numpy is written out below; both run on the same samples from the
-same memory, and the largest difference of their coefficients is printed. Then a free run of a
-nonlinear candidate against `control.input_output_response`. Times move with the machine's load;
-the ratio is the median over interleaved runs in one process.
+Time of a sample for chains with effects, laws, and models without any setting, one sample or more a call.
+Then a free run of a nonlinear candidate against `control.input_output_response`. Times move with the
+machine's load; each is the median over interleaved runs in one process.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import argparse
 import importlib.util
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import control as ct
@@ -46,159 +44,39 @@ def chain(n: int, dt: float, n_samples: int) -> tuple[rco.RCORefiner, np.ndarray
     return rco.RCORefiner(initial, dt=dt, effects=effects, use_estimated_states=False), w, y
 
 
-class PlainNumpy:
-    """The same recursion, one numpy call per product."""
-
-    def __init__(self, refiner: rco.RCORefiner) -> None:
-        part = refiner._estimator.filter
-        self.setup, self.part = part.setup, part
-        lay, memory = part.setup.layout, part.memory
-        self.v = {name: lay.view(memory.packed, name).copy() for name in lay.shapes}
-        self.centre, self.uncertain = memory.centre.copy(), int(memory.counters[1])
-        self.discretize()
-
-    def discretize(self) -> None:
-        s, n, nu = self.setup.structure(self.part.memory.widths), self.setup.layout.n, self.setup.layout.nu
-        d = s.discretize(self.centre, self.setup.settings.dt)
-        M, dM = d.M[0], d.dM[0]
-        self.Phi, self.dPhi = M[:, :n], dM[:, :, :n]
-        self.Gam, self.dGam = (m[..., n : n + nu] + m[..., n + nu : n + 2 * nu] for m in (M, dM))
-        self.O, self.dO = d.O, d.dO
-
-    def sample(self, w: np.ndarray, y: np.ndarray) -> None:
-        v, n = self.v, self.Phi.shape[0]
-        shift = v["theta"] - self.centre
-        Phi = self.Phi + np.tensordot(shift, self.dPhi, 1)
-        Gam = self.Gam + np.tensordot(shift, self.dGam, 1)
-        O = self.O + np.tensordot(shift, self.dO, 1)
-        S = v["S"] @ Phi.T + self.dPhi @ v["x"] + self.dGam @ v["w"]
-        x = Phi @ v["x"] + Gam @ v["w"]
-        w = np.append(w, 1.0)
-        xw = np.concatenate([x, w])
-        yhat, h = O @ xw, S @ O[:, :n].T + self.dO @ xw
-        Pb, Pt, level, count = v["Pb"], v["Pt"], v["level"], v["count"]
-        H = O[:, :n] @ Phi
-        for i in range(y.size):
-            e = y[i] - yhat[i]
-            count[i] += 1
-            level[0, i] += (e * e - level[0, i]) / 32
-            level[1, i] += max(1e-3, 1 / count[i]) * (e * e - level[1, i])
-            R = max(0.5 * level[0, i], level[1, i])
-            s, inner = R, e
-            if self.uncertain:
-                K = Pb @ H[i]
-                s = R + H[i] @ K
-                K /= s
-            g = Pt @ h[:, i]
-            st = s + g @ h[:, i]
-            move = g * (e / st)
-            v["theta"] += move
-            inner -= h[:, i] @ move
-            x += move @ S
-            yhat[i + 1 :] += move @ h[:, i + 1 :]
-            if self.uncertain:
-                FK = Phi @ K
-                x += FK * inner
-                c = H[i + 1 :] @ K
-                yhat[i + 1 :] += c * inner
-                h[:, i + 1 :] -= np.outer(h[:, i], c)
-                S -= np.outer(h[:, i], FK)
-                Pb -= s * np.outer(K, K)
-            Pt -= np.outer(g, g) / st
-        if self.uncertain:
-            Pb[:] = Phi @ Pb @ Phi.T
-        v["x"], v["S"], v["w"] = x, S, w
-        if np.any(np.abs(v["theta"] - self.centre) > np.sqrt(np.diag(Pt))):
-            self.centre = v["theta"].copy()
-            self.discretize()
-
-
 def timed(run: Callable[[], Any]) -> float:
     begin = time.perf_counter()
     run()
     return time.perf_counter() - begin
 
 
-def stage(n: int, n_samples: int, repeats: int) -> list[str]:
-    refiner, w, y = chain(n, 0.02, WARM_UP + n_samples)
-    refiner.update(w[:, :WARM_UP], y[:, :WARM_UP])
-    part = refiner._estimator.filter
-    start = part.memory
-    ahead = slice(WARM_UP, WARM_UP + n_samples)
-    rest, measured = w[:, ahead], y[:, ahead]
-    columns = [(rest[:, k].copy(), measured[:, k].copy()) for k in range(n_samples)]
-
-    def restart() -> None:
-        part.memory = replace(start.copied(), kernel=start.kernel)
-
-    def singly() -> None:
-        for one, other in columns:
-            refiner.update(one, other)
-
-    def blocks(size: int) -> Callable[[], None]:
-        def run() -> None:
-            for k in range(0, n_samples, size):
-                refiner.update(rest[:, k : k + size], measured[:, k : k + size])
-
-        return run
-
-    variants = {"1 sample a call": singly, "blocks of 10": blocks(10), "blocks of 1000": blocks(1000)}
-    spent: dict[str, list[float]] = {name: [] for name in ("numpy", *variants)}
-    difference = 0.0
-    for _ in range(repeats):
-        restart()
-        plain = PlainNumpy(refiner)
-        spent["numpy"].append(timed(lambda plain=plain: [plain.sample(*c) for c in columns]))
-        for name, run in variants.items():
-            restart()
-            spent[name].append(timed(run))
-            difference = max(difference, float(np.abs(part.theta / plain.v["theta"] - 1).max()))
-    lines = []
-    for name in spent:
-        ratio = np.median(np.array(spent["numpy"]) / np.array(spent[name]))
-        each = 1e6 * np.median(spent[name]) / n_samples
-        gap = "" if name == "numpy" else f"{difference:.1e}"
-        lines.append(f"{2 * n:4d} states  {name:18}{each:10.2f} us{ratio:9.1f} x   {gap}")
-    return lines
-
-
 def streams(n_samples: int, repeats: int) -> list[str]:
-    """What else streams: laws in a chain of three masses, and the refiner to which nothing was named."""
+    """Chains with effects, laws in a chain of three masses, and models to which nothing was named."""
+    cases: dict[str, tuple[rco.RCORefiner, np.ndarray, np.ndarray, int]] = {}
+    for masses in (3, 6):
+        for size in (1, 10, 1000):
+            stream = chain(masses, 0.02, WARM_UP + n_samples)
+            cases[f"stiffnesses, {2 * masses} states, {size}"] = *stream, size
     plain, w, y = chain(3, 0.02, WARM_UP + n_samples)
-    one = rco.mass_spring_damper([1.0], [0.2], [10.0], sensors="displacement")
-    two = rco.mass_spring_damper([1.0, 1.0], [0.2, 0.2], [10.0, 8.0], sensors="displacement", force=2)
-    cases: dict[str, tuple[Any, np.ndarray, int]] = {}
     for kind in ("clearance", "cubic_stiffness", "coulomb_friction"):
         effects = [rco.Effect(kind, "link2")]
         for size in (1, 1000):
             refiner = rco.RCORefiner(plain.model, dt=0.02, effects=effects, use_estimated_states=False)
-            cases[f"{kind}, {size}"] = refiner, y, size
-    rng = np.random.default_rng(1)
-    for model, name in ((one, "one mass"), (two, "two masses")):
-        record = rco.Measurement(w, np.zeros((model.system.noutputs, w.shape[1])), dt=0.02)
-        out = rco.simulate(model, record, "zero").outputs
-        out += 0.05 * out.std(axis=1, keepdims=True) * rng.standard_normal(out.shape)
-        for size in (1, 10, 1000):
-            cases[f"default, {name}, {size}"] = rco.RCORefiner(model, dt=0.02), out, size
-    for refiner, out, _ in (*cases.values(), (plain, y, 0)):
-        refiner.update(w[:, :WARM_UP], out[:, :WARM_UP])
-    spent: dict[str, list[float]] = {name: [] for name in ("numpy", *cases)}
+            cases[f"{kind}, {size}"] = refiner, w, y, size
+    for size in (1, 10, 1000):
+        cases[f"default, 6 states, {size}"] = rco.RCORefiner(plain.model, dt=0.02), w, y, size
+    for refiner, inputs, outputs, _ in cases.values():
+        refiner.update(inputs[:, :WARM_UP], outputs[:, :WARM_UP])
+    spent: dict[str, list[float]] = {name: [] for name in cases}
     ahead = range(WARM_UP, WARM_UP + n_samples)
-    columns = [(w[:, k].copy(), y[:, k].copy()) for k in ahead]
     for _ in range(repeats):
-        loop = PlainNumpy(plain)
-        spent["numpy"].append(timed(lambda loop=loop: [loop.sample(*c) for c in columns]))
-        for name, (refiner, out, size) in cases.items():
+        for name, (refiner, inputs, outputs, size) in cases.items():
             parts = [slice(k, k + size) if size > 1 else k for k in ahead[::size]]
-            blocks = [(w[:, part].copy(), out[:, part].copy()) for part in parts]
+            blocks = [(inputs[:, part].copy(), outputs[:, part].copy()) for part in parts]
             spent[name].append(
                 timed(lambda refiner=refiner, blocks=blocks: [refiner.update(*b) for b in blocks])
             )
-    lines = []
-    for name, times in spent.items():
-        ratio = np.median(np.array(spent["numpy"]) / np.array(times))
-        lines.append(f"{name:31}{1e6 * np.median(times) / n_samples:10.2f} us{ratio:9.1f} x")
-    return lines
+    return [f"{name:31}{1e6 * np.median(times) / n_samples:10.2f} us" for name, times in spent.items()]
 
 
 def adaptive_filter(n_samples: int) -> str | None:
@@ -258,9 +136,6 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
     print(f"numba {'on' if NUMBA else 'off'}, {options.samples} samples, median of {options.repeats} runs")
-    print(f"{'size':13}{'':18}{'per sample':>11}{'numpy /':>11}   largest relative difference")
-    for n in (3, 6):
-        print("\n".join(stage(n, options.samples, options.repeats)))
     print("law or model, samples a call")
     print("\n".join(streams(options.samples, options.repeats)))
     peer = adaptive_filter(options.samples)

@@ -97,7 +97,7 @@ def stages():
     example = rco.examples.one_dof(form="observable")
     data = example.record(6000, rng=1)
     for used in (True, False):
-        refiner = rco.RCORefiner(
+        refiner = rco.RCORefiner.paper(
             example.initial, dt=example.dt, history=True, use_estimated_states=used, **example.settings
         ).run(data)
         first, second = refiner.history.performance(4500)
@@ -142,7 +142,7 @@ def zeros():
                 for row, markov in enumerate(counts):
                     setting = {"markov": markov, "window": 200, "learning_rate": 1e4}
                     with suppress(rco.DivergenceError):  # found stays infinite
-                        refiner = rco.RCORefiner(start, dt=1, history=True, **setting).run(data)
+                        refiner = rco.RCORefiner.paper(start, dt=1, history=True, **setting).run(data)
                         found[row, seed] = bode_error(refined(refiner), true, 1)
                         first[row, seed] = refiner.history.performance(2000)[0][0]
                 worst = max(worst, bode_error(rco.RCORefiner(start, dt=1).run(data).system, true, 1))
@@ -182,7 +182,7 @@ def windows():
         scatter = []
         for window in lengths:
             setting = {"order": 5, "markov": 1, "learning_rate": 100.0, "window": int(window)}
-            refiner = rco.RCORefiner(
+            refiner = rco.RCORefiner.paper(
                 example.initial, dt=example.dt, static_learning_rate=rate, history=True, **setting
             ).run(data)
             course = refiner.history.theta2[0, 1]  # acts on the current

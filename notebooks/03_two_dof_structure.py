@@ -194,7 +194,7 @@ for form in ("given", "observable"):
         record = case.record(n_samples=6000, rng=0)
         true = case.true.sample(dt)
         runs = {
-            used: rco.RCORefiner(
+            used: rco.RCORefiner.paper(
                 case.initial, dt=dt, history=True, use_estimated_states=used, **case.settings
             ).run(record)
             for used in (False, True)

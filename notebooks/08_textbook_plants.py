@@ -244,9 +244,9 @@ for ax, name in zip(axes, ("mass, position", "quarter car"), strict=True):
     train, test = record(true, dt, 1).split(0.7)
     omega = np.geomspace(0.01, 1, 300) * np.pi / dt
     shown = {"true": (true, TRUE, 5), "initial": (start, INITIAL, 1.5)}
-    for form, color in (("input", "tab:green"), ("nonzero", REFINED)):
+    for form, color in (("discrete", "tab:green"), ("nonzero", REFINED)):
         refined = rco.RCORefiner(start, dt=dt, form=form).run(train).system
-        shown[f"static='{form}': {fit(refined, test):.1f} %"] = (refined, color, 1.5)
+        shown[f"form='{form}': {fit(refined, test):.1f} %"] = (refined, color, 1.5)
     for label, (model, color, width) in shown.items():
         size = np.abs(ct.frequency_response(model, omega).frdata[0, 0])
         ax.loglog(omega, size, color=color, lw=width, label=label)
@@ -271,9 +271,9 @@ lagging = ss(
     np.block([[true.A, np.zeros((2, 1))], [true.C / lag, -np.eye(1) / lag]]), [*true.B[:, 0], 0], [0, 0, 1]
 )
 train, test = record(lagging, dt, 3).split(0.7)
-for form in ("nonzero", "input", "discrete", "auto"):
+for form in ("nonzero", "discrete", "auto"):
     refiner = rco.RCORefiner(start, dt=dt, form=form).run(train)
-    print(f"static={form!r:10s} fit {fit(refiner.system, test):5.1f} %   taken: {refiner.form}")
+    print(f"form={form!r:10s} fit {fit(refiner.system, test):5.1f} %   taken: {refiner.form}")
 print(f"initial           fit {fit(start, test):5.1f} %")
 print({name: round(score, 1) for name, score in refiner.scores.items()})
 

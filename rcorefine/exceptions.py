@@ -87,7 +87,7 @@ def unheard(category: type[RCOWarning] = RCOWarning) -> Iterator[None]:
         _UNHEARD.reset(before)
 
 
-def warn(message: str, category: type[RCOWarning]) -> None:
+def warn(message: str, category: type[Warning]) -> None:
     """Warn at the line that called the package.
 
     It works as `warnings.warn`, unless `unheard` suppresses the category.

@@ -31,7 +31,8 @@ def compile_kernels(share: int = 0, shares: int = 1) -> None:
     linear, cubic = rco.Effect("stiffness", "link1"), rco.Effect("cubic_stiffness", "link1")
 
     def stream(**settings: Any) -> None:
-        rco.RCORefiner(model, dt=data.dt, **settings).run(data)
+        make = rco.RCORefiner.paper if "window" in settings else rco.RCORefiner
+        make(model, dt=data.dt, **settings).run(data)
 
     uses = (
         lambda: rco.refine(model, data, [cubic]),

@@ -47,8 +47,8 @@ def bode_comparison(systems, measured=None, omega=None, **options):
 __all__ = [
     "KINDS",
     "NUMBA",
-    "Case",
     "BlockFilter",
+    "Case",
     "Data",
     "Engine",
     "FormulaLaw",

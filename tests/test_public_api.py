@@ -52,6 +52,7 @@ def _read_with_unknown_keyword(kind: str) -> object:
 
 
 WITH_KEYWORDS: dict[str, Callable[[], object]] = {
+    "RCORefiner": lambda: rco.RCORefiner(ct.ss([[-1.0]], [[1.0]], [[1.0]], 0), dt=0.1, no_such_keyword=1),
     "Effect.replace": lambda: rco.Effect("damping", "x").replace(no_such_keyword=1),
     "Measurement.from_csv": lambda: _read_with_unknown_keyword("csv"),
     "Measurement.from_frame": lambda: _read_with_unknown_keyword("frame"),

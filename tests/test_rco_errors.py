@@ -324,7 +324,9 @@ def test_update_that_diverges_changes_nothing(
 
 def test_what_the_message_advises_helps(diverging: tuple[ct.StateSpace, rco.Measurement, int]) -> None:
     model, record, _ = diverging
-    made = rco.RCORefiner.paper(model, window=100, learning_rate=1e-1, order=4, markov=30, history=True).run(record)
+    made = rco.RCORefiner.paper(model, window=100, learning_rate=1e-1, order=4, markov=30, history=True).run(
+        record
+    )
     assert made.history.performance(3000)[0][0] < 0.5
 
 

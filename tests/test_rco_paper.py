@@ -135,7 +135,9 @@ def test_at_5_ms_the_states_of_stage_1_make_no_difference() -> None:
 def test_state_estimates_beat_the_initial_model(example: Any) -> None:
     """Figures 5, 11 and 16: x - x_Delta is smaller than x - x_0 for every state."""
     record = example.record(4000)
-    refiner = rco.RCORefiner.paper(example.initial, dt=example.dt, history=True, **example.settings).run(record)
+    refiner = rco.RCORefiner.paper(example.initial, dt=example.dt, history=True, **example.settings).run(
+        record
+    )
     true = example.simulate(record.inputs).states[:, 2000:]
     initial = example.simulate(record.inputs, model="initial").states[:, 2000:]
     ours = np.sqrt(np.mean((true - refiner.history.x[:, 2000:]) ** 2, axis=1))

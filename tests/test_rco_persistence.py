@@ -69,7 +69,9 @@ def same(one, other):
     np.testing.assert_array_equal(one.theta, other.theta)
     if one.effects is not None:
         np.testing.assert_array_equal(one.covariance, other.covariance)
-        ours, theirs = (refiner._estimator.state()["forms"].filters["coefficients"] for refiner in (one, other))
+        ours, theirs = (
+            refiner._estimator.state()["forms"].filters["coefficients"] for refiner in (one, other)
+        )
         np.testing.assert_array_equal(ours.z, theirs.z)
         np.testing.assert_array_equal(ours.L, theirs.L)
     assert str(one) == str(other)

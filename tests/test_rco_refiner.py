@@ -183,9 +183,9 @@ def test_units_do_not_matter(data: rco.Measurement) -> None:
 def test_unit_of_the_correction_does_not_matter(data: rco.Measurement) -> None:
     b_u = two_by_two().B
     plain = rco.RCORefiner.paper(two_by_two(), dt=DT, correction_input=b_u, **SETTINGS).run(data)
-    changed = rco.RCORefiner.paper(two_by_two(), dt=DT, correction_input=b_u * [2.0**-10, 16.0], **SETTINGS).run(
-        data
-    )
+    changed = rco.RCORefiner.paper(
+        two_by_two(), dt=DT, correction_input=b_u * [2.0**-10, 16.0], **SETTINGS
+    ).run(data)
     np.testing.assert_allclose(changed.system.A, plain.system.A, rtol=1e-6, atol=1e-7)
 
 

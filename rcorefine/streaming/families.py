@@ -1,4 +1,4 @@
-"""Models on a stream that depend on coefficients: physical effects, or entries of the matrices."""
+"""Models with coefficients: physical effects, or entries of matrices."""
 
 from __future__ import annotations
 
@@ -21,7 +21,15 @@ from ..effects.formula import InputLaw, OutputLaw
 from ..engine.engine import Engine
 from ..engine.linear import Substep, state_power
 from ..engine.structure import Parameter, Structure
-from ..exceptions import ConversionWarning, IdentifiabilityWarning, ModelError, RCOError, RCOWarning, unheard, warn
+from ..exceptions import (
+    ConversionWarning,
+    IdentifiabilityWarning,
+    ModelError,
+    RCOError,
+    RCOWarning,
+    unheard,
+    warn,
+)
 from ..inference.covariance import standard_deviations
 from ..inference.parameters import EstimatedParameter, estimated, nominal_size, parameter_table
 from ..inference.starts import estimated_motion, law_widths
@@ -41,7 +49,10 @@ _LAG = 64  # samples that input delays look back on
 _MARGIN = 1e-3  # share of a bound that an estimate keeps off it
 _LOOSE = 2.0  # prior standard deviation over the nominal value
 _WIDE = 30.0  # ... over the size whose effect on the outputs is that of the signals
-_FAR, _FLAT = 6.0, 1e-3  # standard errors of a mean that is no chance; share of an output that distorts nothing
+_FAR, _FLAT = (
+    6.0,
+    1e-3,
+)  # standard errors of a mean that is no chance; share of an output that distorts nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +108,7 @@ def checked_settings(
 
 
 class Prior(NamedTuple):
-    """What is known before the first sample, and where a search may start."""
+    """Prior knowledge of the coefficients, and a start of the search."""
 
     theta: Array  #: (p,), mean of the coefficients
     root: Array  #: (p, q), square root of their covariance; what it does not span is held
@@ -167,7 +178,7 @@ class Family(ABC):
         """Return coefficients and covariance in the given time domain."""
         return theta, covariance
 
-    def check(self, first: Block, left: Array) -> None:
+    def check(self, first: Block, left: Array) -> None:  # noqa: B027
         """Warn of what the residual (N, n_y) of the first samples shows."""
 
 
@@ -229,7 +240,7 @@ class Effects(Family):
         return _structure(self, tuple(widths.tolist()))
 
     def prior(self, first: Block, theta: Array | None) -> tuple[Prior, Array]:
-        """Prior from what is declared, from nominal values, or from what moves the outputs."""
+        """Prior: declared, of nominal values, or of what moves the outputs."""
         from ..refinement.refine import refine
 
         data = _bridged(first, self.settings)
@@ -276,10 +287,10 @@ class Effects(Family):
         return estimated(parameter_table(self.bare, ["effect"] * len(self.effects)), theta, spread)
 
     def check(self, first: Block, left: Array) -> None:
-        """Warn if the first samples have a constant part that no effect takes: it distorts the others.
+        """Warn if the first samples have a constant part that no effect takes.
 
-        Seen in the mean of the residual, or, where the fit turned it into a slow motion, in that of the initial
-        model; then a fit beside an offset must be decisively better.
+        Seen in the mean of the residual, or, where the fit turned it into a slow motion, in that of the
+        initial model; then a fit beside an offset must be decisively better.
         """
         from ..comparison.compare import compare
         from ..refinement.refine import refine
@@ -294,9 +305,13 @@ class Effects(Family):
             large = ~suspect & (np.abs(mean) > np.maximum(spread, _FLAT * size))
             if large.any():
                 offsets = [Effect(OutputOffset.name, labels[i]) for i in np.flatnonzero(large)]
-                beside = compare(refine(self.physical, data, [*self.effects, *offsets], offset=False), data).residual
+                beside = compare(
+                    refine(self.physical, data, [*self.effects, *offsets], offset=False), data
+                ).residual
                 _, error, spread = _means(beside)
-                gain = len(left) * np.log(np.nanmean(left.T**2, axis=1) / np.maximum(np.mean(beside**2, axis=1), 1e-300))
+                gain = len(left) * np.log(
+                    np.nanmean(left.T**2, axis=1) / np.maximum(np.mean(beside**2, axis=1), 1e-300)
+                )
                 # colored noise: fewer independent samples than samples
                 wide = np.maximum(1.0, len(left) * (error / np.maximum(spread, 1e-300)) ** 2)
                 suspect |= large & (gain > _FAR**2 * wide)
@@ -310,7 +325,10 @@ class Effects(Family):
 
 
 def _means(left: Array) -> tuple[Array, Array, Array]:
-    """Mean of each row (n_y, N), its standard error in colored noise, and the deviation of the samples."""
+    """Mean of each row, its standard error, and the deviation.
+
+    The standard error is that in colored noise.
+    """
     found = []
     for row in left:
         row = row[np.isfinite(row)]
@@ -352,7 +370,10 @@ def _checked_effects(effects: Sequence[Effect]) -> tuple[Effect, ...]:
 
 
 def _bridged(first: Block, settings: FilterSettings) -> Measurement:
-    """Samples as a record, gaps bridged by straight lines, for starts and sizes only."""
+    """Samples as a record, gaps bridged by straight lines.
+
+    It serves for starts and sizes only.
+    """
     outputs, grid = first.outputs.copy(), np.arange(len(first.outputs))
     for i in range(outputs.shape[1]):
         there = first.use[:, i] > 0
@@ -371,7 +392,7 @@ _UNSEEN = 1e-7  # of the largest change of the response: a direction that change
 
 
 class Entries(Family):
-    """Linear model whose matrices are [A B; C D] plus patterns times coefficients.
+    """Linear model [A B; C D] plus patterns times coefficients.
 
     Parameters
     ----------
@@ -438,7 +459,7 @@ class Entries(Family):
         return self.model.is_continuous and not self.base.is_continuous
 
     def translated(self, theta: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return coefficients and covariance in the given time domain, to first order.
+        """Return coefficients and covariance in the time domain of the model.
 
         What is not learned stays as it is.
         """
@@ -460,17 +481,17 @@ class Entries(Family):
         return tuple(
             EstimatedParameter(
                 name=name, kind=Entry.name, place=name, initial=float(value), value=float(value + change),
-                coefficient=float(change), std=float(std), unit="", role="coefficient",
+                coefficient=float(change), std=float(std), unit="", role=Entry.name,
             )
             for name, value, change, std in zip(self.labels, self.value, theta, spread, strict=True)
         )  # fmt: skip
 
     def discretized(self, theta: Array) -> tuple[Array, Array]:
-        """Return the state equation over one sample, (n, n + 2 n_w), and its derivatives (p, ...).
+        """Return the state equation over one sample, and its derivatives.
 
         Behind the state stand the inputs before and after the sample.
         """
-        base, hold, dt = self.base, self.settings.hold, self.settings.dt
+        base, dt = self.base, self.settings.dt
         n, nw = base.n_states, base.n_inputs
         whole = self.stacked(theta)[:n]
         if not base.is_continuous:  # the patterns are the derivatives
@@ -526,7 +547,7 @@ class Entries(Family):
 
     @cached_property
     def _response_change(self) -> Array:
-        """Change of the initial frequency response by each coefficient, shape (2 K n_y n_w, p)."""
+        """Change of the initial frequency response by each coefficient."""
         n, nw, p = self.base.n_states, self.base.n_inputs, len(self.labels)
         M, dM = self.discretized(self.start())
         # both input columns act as one in a steady sine
@@ -558,7 +579,7 @@ class _Matrices(Structure):
         return self._family.start()
 
     @property
-    def absorbed(self) -> Any:  # type: ignore[override]
+    def absorbed(self) -> Any:
         """All coefficients enter the matrices."""
         return np.arange(len(self.parameters))
 
@@ -609,8 +630,8 @@ def checked_entries(model: LinearModel, names: Sequence[str]) -> list[str]:
         match = _ENTRY.fullmatch(name)
         if match is None:
             raise ct.ControlArgument(
-                f"effects: {name!r} is no entry; write it as 'A[1,0]' (rows and columns from 0), and others as "
-                "Effect objects"
+                f"effects: {name!r} is no entry; write it as 'A[1,0]' (rows and columns from 0); physical "
+                "effects are Effect objects"
             )
         matrix, row, column = match[1], int(match[2]), int(match[3])
         entry, shape = f"{matrix}[{row},{column}]", getattr(model, matrix).shape
@@ -638,7 +659,7 @@ def nonzero_entries(model: LinearModel) -> list[str]:
 
 
 def all_entries(model: LinearModel) -> list[str]:
-    """All entries of A and B, and those of outputs that mix several signals (an acceleration)."""
+    """All entries of A and B, and those of outputs that mix signals."""
     rows = range(model.n_states)
     found = [f"A[{i},{j}]" for i in rows for j in rows]
     return found + [f"B[{i},{j}]" for i in rows for j in range(model.n_inputs)] + _mixed_outputs(model)

@@ -3,8 +3,8 @@
 The state of the filter is z = [x; theta]: the state of the model at the first sample of a block, and its
 coefficients. The engine simulates the block and gives its outputs h(z) with their exact derivatives H, so a
 block of samples is one measurement y = h(z) + v of z, and the filter is an iterated extended Kalman filter
-(Jazwinski, Stochastic Processes and Filtering Theory, 1970, section 8.3). Its covariance P = L L' is kept as a
-square root. The noise v is whitened by the autoregressive filters that `refine` uses. The first samples are
+(Jazwinski, Stochastic Processes and Filtering Theory, 1970, section 8.3). Its covariance P = L L' is kept as
+a square root. The noise v is whitened by the autoregressive filters that `refine` uses. The first samples are
 kept and fitted once more as they double: errors of phase grow with time, so a short stretch has one valley
 where a long one has many.
 """
@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..data.measurement import Measurement
 from ..engine.engine import Engine
@@ -29,6 +30,8 @@ from .persistence import storable
 from .samples import Block, whole_block
 
 _RING = 1024  # residuals that the noise is learned from
+Flags = NDArray[np.bool_]
+
 _SHARE = 0.3  # of its standard deviation that a coefficient may move before the model is linearized anew
 _ROUNDS = 6  # linearizations of a block, at most
 _SURPRISE = 9.0  # mean square of a block's normalized innovations: what was learned does not hold
@@ -37,6 +40,7 @@ _FEW = 0.1  # share of outliers in a block that is otherwise fine
 _SOON, _TIMES = 500, 3  # surprises within so many samples: not the state alone was wrong
 _FLOOR = 1e-8  # of the size of an output: its rounding
 _WEAK = 0.1  # of its prior deviation: a direction that the first samples hardly determined
+_MISFIT = 1.1  # mean square of the simulation for colored noise over that for white noise
 _EXCITED = 0.1  # information of a block over what is forgotten, from which on all of that is forgotten
 _SILENT = 1e-2  # information of a sample over that of the first ones: below it nothing is forgotten
 _NOISE = 0.03  # of the size of an output: first guess of the noise
@@ -108,8 +112,8 @@ class FilterState(NamedTuple):
     surprised: int
 
 
-class Course(NamedTuple):
-    """What a filter found at each sample of a block."""
+class BlockCourse(NamedTuple):
+    """Results of a filter at each sample of a block."""
 
     theta: Array  #: (N, p), after the block
     x: Array  #: (N, n), states
@@ -126,7 +130,30 @@ class Model(NamedTuple):
     inner: Array  #: memory of laws at the last sample
 
 
-storable(FilterState, Course, Block)
+class Update(NamedTuple):
+    """Update of the filter by a block."""
+
+    z: Array  #: (n + p,)
+    root: Array  #: (n + p, d), square root of its covariance
+    at: Array  #: (n + p,), where the model was linearized
+    model: Model  #: the samples about that point
+    e: Array  #: (k,), whitened innovations
+    A: Array  #: (k, d), H L, whitened
+    rows: tuple[Any, ...]  #: sample and output of each
+
+
+class Pass(NamedTuple):
+    """Fit of the first samples for one model of the noise."""
+
+    point: Array  #: (d,), zeta of z = z0 + L zeta
+    root: Array  #: (d, d), square root of its covariance
+    left: Array  #: (N, n_y), residual
+    use: Flags  #: (N, n_y), samples that are no outliers
+    unsure: Array  #: (N, n_y, d), root of the covariance of the outputs: what the fit took out of the noise
+    model: Model  #: the samples at that point
+
+
+storable(FilterState, BlockCourse, Block)
 
 
 class BlockFilter:
@@ -143,7 +170,6 @@ class BlockFilter:
     def __init__(self, family: Family) -> None:
         self.family, self.settings = family, family.settings
         self.n, self.ny = family.structure(np.zeros(0)).n_states, family.model.n_outputs
-
         self._order = np.roll(np.arange(self.n + family.start().size), self.n)
         # samples that are fitted together: no more than the memory that forgetting leaves
         memory = 1.0 / max(1.0 - self.settings.forgetting, 1e-9)
@@ -159,34 +185,48 @@ class BlockFilter:
         p = theta.size
         return FilterState(
             z=np.concatenate([np.zeros(n), theta]), L=np.zeros((n + p, 0)), centre=theta,
-            filters=np.ones((ny, 1)), scales=np.ones(ny), gain=np.zeros((n, ny)), past=nothing, before=nothing.inputs,
-            inner=np.zeros(0), first=nothing,
-            left=np.zeros((0, ny)), spread=np.full(p, np.inf), held=np.zeros((p, p)), sizes=np.ones(ny),
-            reach=np.ones(n), power=0.0, widths=np.zeros(0), n_samples=n_samples, begun=n_samples, collects=True, rounds=0, surprises=0,
+            filters=np.ones((ny, 1)), scales=np.ones(ny), gain=np.zeros((n, ny)), past=nothing,
+            before=nothing.inputs, inner=np.zeros(0), first=nothing, left=np.zeros((0, ny)),
+            spread=np.full(p, np.inf), held=np.zeros((p, p)), sizes=np.ones(ny), reach=np.ones(n), power=0.0,
+            widths=np.zeros(0), n_samples=n_samples, begun=n_samples, collects=True, rounds=0, surprises=0,
             surprised=0,
         )  # fmt: skip
 
     # -- samples in ----------------------------------------------------------------------------------
 
-    def step(self, state: FilterState, block: Block, *, course: bool = False) -> tuple[FilterState, Course | None]:
+    def step(
+        self, state: FilterState, block: Block, *, course: bool = False
+    ) -> tuple[FilterState, BlockCourse | None]:
         """Return the state after a block, and its course where that is asked for."""
-        found = self.unlearned(state, block) if course else None
         n_samples = state.n_samples + len(block.inputs)
         age, known = n_samples - state.begun, bool(block.known.all())
-        after, first = state, Block.joined([state.first, block]) if state.collects else state.first
-        if state.rounds and known:
-            after, found = self._learn(state, block, course)
-        elif state.rounds:  # inputs that nobody measured: where the model stands is unknown
-            after = self._lost(state, block)
+        after, found = self._taken(state, block, course, known)
+        first = Block.joined([state.first, block]) if state.collects else state.first
         after = after._replace(first=first, n_samples=n_samples)
         # surprises that come again, or a start without inputs: all begins anew with the samples to come
         if after.surprises >= _TIMES or not (known or state.rounds):
             return self.begin(n_samples), found
         if state.collects and known and age in MILESTONES and age >= self.family.least:
-            after = self.fit(after, first)
+            after = self._fit_or_wait(after, first, age)
         if age >= self._last or not known:
             after = after._replace(first=first.part(0, 0), collects=False)
         return after, found
+
+    def _taken(
+        self, state: FilterState, block: Block, course: bool, known: bool
+    ) -> tuple[FilterState, BlockCourse | None]:
+        """State after a block of which all inputs are known, or not."""
+        found = self.unlearned(state, block) if course else None
+        if not state.rounds:
+            return state, found
+        if not known:  # inputs that nobody measured: where the model stands is unknown
+            return self._lost(state, block), found
+        try:
+            return self._learn(state, block, course)
+        except DivergenceError:  # these coefficients make the model run away: they are no estimates
+            if state.begun and not state.collects:
+                raise
+            return self.begin(state.begun if state.collects else state.n_samples + len(block.inputs)), found
 
     def finish(self, state: FilterState) -> FilterState:
         """Learn from samples that wait for the first fit, however few."""
@@ -194,53 +234,77 @@ class BlockFilter:
             return state
         return self.fit(state, state.first)
 
-    def _learn(self, state: FilterState, block: Block, course: bool) -> tuple[FilterState, Course | None]:
-        """Update by a block: prediction, innovations, gain, covariance."""
-        n, settings = self.n, self.settings
+    def _fit_or_wait(self, state: FilterState, first: Block, age: int) -> FilterState:
+        """Fit the first samples, or wait for more where the fit runs away."""
+        try:
+            return self.fit(state, first)
+        except DivergenceError:
+            if state.rounds == 0 and age >= self._last:
+                raise
+            return state
+
+    def _learn(
+        self, state: FilterState, block: Block, course: bool
+    ) -> tuple[FilterState, BlockCourse | None]:
+        """Learn from a block, unless it is a surprise."""
+        n, q, N = self.n, len(state.past.inputs), len(block.inputs)
         found = self.unlearned(state, block) if course else None
-        q, N = len(state.past.inputs), len(block.inputs)
         whole = Block.joined([state.past, block])
+        # the noise follows what the blocks leave
         if (state.n_samples + N) // _RING > state.n_samples // _RING and len(state.left) == _RING:
-            filters, scales = self._noise(state.left, np.isfinite(state.left), state.sizes)
+            most = None if state.filters.shape[1] > 1 else 0
+            filters, scales = self._noise(state.left, np.isfinite(state.left), state.sizes, most=most)
             state = state._replace(filters=filters, scales=scales)
         use = whole.use > 0
-        use[:q] &= False
-        # forgetting and unknown forces loosen what is known
-        L, at, loose = state.L, np.concatenate([state.z[:n], self._centre(state)]), settings.forgetting < 1
+        use[:q] = False  # learned before: there for the whitening filter alone
+        update = self._update(state, whole, use, self.settings.forgetting**N)
+        if update is None:
+            return self._surprised(state, block), found
+        z, root, at, model = update.z, update.root, update.at, update.model
+        v = np.where(whole.use > 0, whole.outputs - model.outputs - model.H @ (z - at), np.nan)
+        after = state._replace(left=np.concatenate([state.left, v[q:]])[-_RING:], centre=at[n:])
+        if course and (again := self._simulate(state, whole, z)) is not None:
+            found = BlockCourse(
+                np.tile(z[n:], (N, 1)), again.states[q:], self._ahead(whole, update, state)[q:]
+            )
+        return self._move_on(after, whole, z, root, (model, at)), found
+
+    def _update(self, state: FilterState, whole: Block, use: Flags, kept: float) -> Update | None:
+        """Update by a block: innovations, gain, covariance.
+
+        None where what was learned does not hold.
+
+        The model is linearized anew until theta stays close to where that was done.
+        """
+        n, L, at, update = self.n, state.L, np.concatenate([state.z[: self.n], self._centre(state)]), None
         for _ in range(_ROUNDS):
             model = self._simulate(state, whole, at)
             if model is None:
-                return self._surprised(state, block), found
-            # innovation r = y - h(at) - H (z - at), whitened: unit covariance R
+                return None
+            # innovations r = y - h(at) - H (z - at), whitened: their noise has covariance R = I
             r = whole.outputs - model.outputs + model.H @ (at - state.z)
             e, A, rows = self._whiten(state, r, model.H @ L, whole.use > 0, use)
-            # S = H P H' + R; what a block teaches is small against S where its normalized innovations are
             solved = _Solved(A, e)
+            # S = H P H' + R: are the innovations as small as it says, but for a few outliers?
             if solved.surprise > _SURPRISE and e.size:
                 far = np.abs(e) > _OUTLIER * np.sqrt(1.0 + np.sum(A**2, axis=1))
                 if not far.any() or far.mean() > _FEW:
-                    return self._surprised(state, block), found
+                    return None
                 use[rows[0][far], rows[1][far]] = False
                 continue
-            if loose and self._power(state, model, use) > _SILENT * state.power:
-                wider, loose = _forget(L, solved.root, n, settings.forgetting**N), False
+            if kept < 1.0 and self._power(state, model, use) > _SILENT * state.power:
+                wider, kept = _forget(L, solved.root, n, kept), 1.0
                 L, A = L @ wider, A @ wider
                 solved = _Solved(A, e)
-            # z = z + K r, P = P - K H P
-            z = state.z + L @ solved.mean
-            root = L @ solved.root
+            # z = z + K e, P = P - K H P
+            z, root = state.z + L @ solved.mean, L @ solved.root
             z[n:] = np.clip(z[n:], *self.family.bounds)
+            update = Update(z, root, at, model, e, A, rows)
             moved, size = np.abs(z - at)[n:], np.sqrt(np.sum(root[n:] ** 2, axis=1))
             if np.all(moved <= _SHARE * size + 1e-12 * np.abs(z[n:])):
                 break
             at = z.copy()
-        v = whole.outputs - model.outputs - model.H @ (z - at)
-        v[whole.use == 0] = np.nan
-        after = state._replace(left=np.concatenate([state.left, v[q:]])[-_RING:], centre=at[n:])
-        if course and (again := self._simulate(state, whole, z)) is not None:
-            ahead = self._predictions(whole, e, A, rows, state)
-            found = Course(np.tile(z[n:], (len(block.inputs), 1)), again.states[q:], ahead[q:])
-        return self._move_on(after, whole, z, root, (model, at)), found
+        return update
 
     def fit(self, state: FilterState, first: Block) -> FilterState:
         """Return the state after all first samples, fitted together.
@@ -250,7 +314,8 @@ class BlockFilter:
         family, n = self.family, self.n
         prior, widths = family.prior(first, state.z[n:] if state.rounds else None)
         sizes = output_sizes(first)
-        new = state._replace(widths=widths, sizes=sizes, filters=np.ones((self.ny, 1)), scales=self._level(state, sizes),
+        new = state._replace(
+            widths=widths, sizes=sizes, filters=np.ones((self.ny, 1)), scales=self._level(state, sizes),
             past=first.part(0, 0), before=first.inputs[:0], inner=np.zeros(0), spread=prior.spread,
             held=np.diag(prior.spread**2) - prior.root @ prior.root.T, rounds=state.rounds + 1,
         )  # fmt: skip
@@ -262,29 +327,27 @@ class BlockFilter:
         z0, L = np.concatenate([np.zeros(n), prior.theta]), np.zeros((n + p, n + q))
         L[:n, :n], L[n:, n:] = np.diag(new.reach), prior.root
         starts = [prior.start, prior.theta, state.z[n:]] if len(first.inputs) <= _SOON else [state.z[n:]]
-        starts = [one for i, one in enumerate(starts) if not any(np.array_equal(one, o) for o in starts[:i])]
+        starts = list({one.tobytes(): one for one in starts}.values())
         found = [np.linalg.lstsq(prior.root, start - prior.theta, rcond=None)[0] for start in starts]
-        points, use = [np.concatenate([np.zeros(n), zeta]) for zeta in found], first.use > 0
-        # first for white noise, then for the color that is left
-        for most in (None, None) if state.rounds else (0, None, None):
-            best = min((self._descend(new, first, z0, L, point, use) for point in points), key=_cost)
-            if not np.isfinite(best.cost):
-                raise DivergenceError(
-                    f"the static stage diverged before sample {state.n_samples}: the model grows beyond all "
-                    "numbers within the first samples. Place: choose other effects, give them a start or a "
-                    "prior"
-                )
-            v = np.where(first.use > 0, first.outputs - best.rows.more.outputs, np.nan)
-            # samples far beyond the others are no measurements
-            middle = np.ma.median(np.ma.masked_invalid(np.abs(v)), axis=0).filled(0.0)
-            use = (first.use > 0) & ~(np.abs(v) > _OUTLIER * np.maximum(1.5 * middle, 3 * _FLOOR * sizes))
-            A, points = best.rows.jacobian[: -(n + q)], [best.point]
-            solved = _Solved(A, np.zeros(len(A)))
-            filters, scales = self._noise(v, use, sizes, solved.explained, most)
-            new = new._replace(filters=filters, scales=scales)
-        z, root = z0 + L @ best.point, L @ solved.root
+        points = [np.concatenate([np.zeros(n), zeta]) for zeta in found]
+        # first for white noise, once more where its level was a guess
+        best = self._pass(new, first, z0, L, points, first.use > 0)
+        if state.rounds == 0:
+            level = self._noise(best.left, best.use, sizes, best.unsure, 0)[1]
+            best = self._pass(new._replace(scales=level), first, z0, L, [best.point], best.use)
+        noise = self._noise(best.left, best.use, sizes, best.unsure, 0)
+        # then for the color that is left, unless the simulation pays for it: that is a wrong structure
+        colored = best
+        for _ in range(2):
+            color = self._noise(colored.left, colored.use, sizes, colored.unsure)
+            new = new._replace(filters=color[0], scales=color[1])
+            colored = self._pass(new, first, z0, L, [colored.point], colored.use)
+        if np.nansum((colored.left / sizes) ** 2) < _MISFIT * np.nansum((best.left / sizes) ** 2):
+            best, noise = colored, self._noise(colored.left, colored.use, sizes, colored.unsure)
+        new = new._replace(filters=noise[0], scales=noise[1])
+        z, root, v = z0 + L @ best.point, L @ best.root, best.left
         z[n:] = np.clip(z[n:], *family.bounds)
-        power = self._power(new, best.rows.more, use)
+        power = self._power(new, best.model, best.use)
         new = new._replace(centre=z[n:].copy(), left=v[-_RING:], power=power)
         if family.one_to_one and len(v) == self._last:
             root, still = _held(root, n, prior.spread)
@@ -293,8 +356,27 @@ class BlockFilter:
             family.check(first, v)
         return self._move_on(new, first, z, root, None)
 
+    def _pass(
+        self, state: FilterState, first: Block, z0: Array, L: Array, points: list[Array], use: Flags
+    ) -> Pass:
+        """Best of the descents from some points, for the noise that the state has."""
+        best = min((self._descend(state, first, z0, L, point, use) for point in points), key=_cost)
+        if not np.isfinite(best.cost):
+            raise DivergenceError(
+                f"the static stage diverged before sample {state.n_samples}: the model grows beyond all "
+                "numbers within the first samples. Place: choose other effects, give them a start or a prior"
+            )
+        model = best.rows.more
+        v = np.where(first.use > 0, first.outputs - model.outputs, np.nan)
+        # samples far beyond the others are no measurements
+        middle = np.ma.median(np.ma.masked_invalid(np.abs(v)), axis=0).filled(0.0)
+        near = np.abs(v) <= _OUTLIER * np.maximum(1.5 * middle, 3 * _FLOOR * state.sizes)
+        A = best.rows.jacobian[: -L.shape[1]]
+        root = _Solved(A, np.zeros(len(A))).root
+        return Pass(best.point, root, v, near, model.H @ (L @ root), model)
+
     def _descend(
-        self, state: FilterState, first: Block, z0: Array, L: Array, begin: Array, use: Array
+        self, state: FilterState, first: Block, z0: Array, L: Array, begin: Array, use: Flags
     ) -> Minimum:
         """Gauss-Newton over zeta, z = z0 + L zeta."""
         n = self.n
@@ -320,7 +402,10 @@ class BlockFilter:
     # -- pieces --------------------------------------------------------------------------------------
 
     def _simulate(self, state: FilterState, block: Block, z: Array) -> Model | None:
-        """Outputs and states with their derivatives by z, None where the model has no bounds."""
+        """Outputs and states with their derivatives by z.
+
+        None where the simulation leaves all bounds.
+        """
         n, family = self.n, self.family
         structure, settings = family.structure(state.widths), self.settings
         data = Measurement(block.inputs.T, block.outputs.T, dt=settings.dt, hold=settings.hold)
@@ -341,13 +426,13 @@ class BlockFilter:
         return Model(run.outputs.T, H[:, :, self._order], run.states.T, F[:, self._order], run.last.z)
 
     def _centre(self, state: FilterState) -> Array:
-        """Coefficients to linearize about: the last ones, unless theta has moved away."""
+        """Coefficients to linearize about: the last ones if theta is close."""
         theta, size = state.z[self.n :], np.sqrt(np.sum(state.L[self.n :] ** 2, axis=1))
         near = np.all(np.abs(theta - state.centre) <= _SHARE * size)
         return state.centre if near else theta
 
     def _whiten(
-        self, state: FilterState, r: Array, A: Array, there: Array, use: Array
+        self, state: FilterState, r: Array, A: Array, there: Flags, use: Flags
     ) -> tuple[Array, Array, Any]:
         """Whiten innovations (N, n_y) and their derivatives (N, n_y, d).
 
@@ -366,9 +451,12 @@ class BlockFilter:
         return e[rows] / state.scales[rows[1]], white[rows] / state.scales[rows[1], None], rows
 
     def _noise(
-        self, v: Array, there: Array, sizes: Array, explained: float = 0.0, most: int | None = None
+        self, v: Array, there: Flags, sizes: Array, unsure: Array | None = None, most: int | None = None
     ) -> tuple[Array, Array]:
-        """Whitening filters and scales from residuals (N, n_y)."""
+        """Whitening filters and scales from residuals (N, n_y).
+
+        `unsure` (N, n_y, d) is a root of the covariance of the outputs that were fitted.
+        """
         if self.settings.noise.any():
             return np.ones((self.ny, 1)), self.settings.noise
         # what a changing plant leaves is no noise of the sensors
@@ -376,22 +464,28 @@ class BlockFilter:
         longest = 0 if white else highest_order(len(v))
         longest = longest if most is None else min(most, longest)
         filters, scales = np.eye(1, 1 + longest).repeat(self.ny, axis=0), np.zeros(self.ny)
-        share = 1.0 - min(explained / max(there.sum(), 1), 0.5)  # degrees of freedom that are left
         for i in range(self.ny):
             known, signal = there[:, i], np.where(there[:, i], v[:, i], 0.0)
+            doubt = np.zeros((len(v), 0)) if unsure is None else unsure[:, i] * known[:, None]
             # gaps leave few samples with a whole past: then a short filter
             gaps = np.count_nonzero(~known)
             short = min(longest, int(0.1 * len(v) / gaps)) if gaps else longest
-            a, variance = np.ones(1), float(np.sum(signal**2) / max(known.sum(), 1))
+            variance = float((np.sum(signal**2) + np.sum(doubt**2)) / max(known.sum(), 1))
+            a = np.ones(1)
             if short and variance > 0:
-                price = np.log(max(known.sum(), 2))  # Schwarz: white noise stays white
-                a, variance = stable_model(*autoregression(signal, known=known, most=short, price=price))
-            filters[i, : a.size], scales[i] = a, np.sqrt(variance / share)
+                price = float(np.log(max(known.sum(), 2)))  # Schwarz: white noise stays white
+                there_all, doubt_all = (known, None) if gaps else (None, doubt)
+                found = autoregression(signal, most=short, price=price, known=there_all, unsure=doubt_all)
+                a, variance = stable_model(*found)
+            filters[i, : a.size], scales[i] = a, np.sqrt(variance)
         orders = np.flatnonzero(filters.any(axis=0))
         return filters[:, : orders[-1] + 1], np.hypot(scales, _FLOOR * sizes)
 
     def _level(self, state: FilterState, sizes: Array) -> Array:
-        """First guess of the noise: what was declared, what the last fit left, or a share of the outputs."""
+        """First guess of the noise.
+
+        It is what was declared, what the last fit left, or a share of the outputs.
+        """
         if self.settings.noise.any():
             return self.settings.noise
         if not state.rounds:
@@ -399,8 +493,8 @@ class BlockFilter:
         left = np.where(np.isfinite(state.left), state.left, 0.0)
         return np.hypot(np.sqrt(np.mean(left**2, axis=0)), _FLOOR * sizes)
 
-    def _power(self, state: FilterState, model: Model, use: Array) -> float:
-        """Information of a sample about the coefficients, over that of their prior."""
+    def _power(self, state: FilterState, model: Model, use: Flags) -> float:
+        """Information of a sample about theta, over that of the prior."""
         told = model.H[:, :, self.n :] * state.spread / state.scales[:, None]
         return float(np.sum(told[use] ** 2) / max(use.sum(), 1))
 
@@ -415,7 +509,7 @@ class BlockFilter:
         return np.pad(found, ((0, self.n - len(found)), (0, 0)))
 
     def _reach(self, state: FilterState, first: Block, theta: Array) -> Array:
-        """Sizes of the states, three times as large as what they reach or outputs show."""
+        """Sizes of the states: three times what they reach or outputs show."""
         model = self._simulate(state, first, np.concatenate([np.zeros(self.n), theta]))
         moving = np.zeros(self.n)
         if model is not None:
@@ -454,11 +548,12 @@ class BlockFilter:
     def _surprised(self, state: FilterState, block: Block) -> FilterState:
         """Count a block that taught nothing: a bump moves the state alone."""
         soon = state.n_samples - state.surprised < _SOON
-        return self._lost(state, block)._replace(surprises=state.surprises + 1 if soon else 1, surprised=state.n_samples
+        return self._lost(state, block)._replace(
+            surprises=state.surprises + 1 if soon else 1, surprised=state.n_samples
         )
 
     def _lost(self, state: FilterState, block: Block) -> FilterState:
-        """Return a state after a block that no longer trusts where the model stands."""
+        """Return a state after a block whose x is as uncertain as at the start."""
         n, whole = self.n, Block.joined([state.past, block])
         # covariance of theta as before, the state as uncertain as at the start
         U, s, _ = np.linalg.svd(state.L[n:], full_matrices=False)
@@ -468,27 +563,30 @@ class BlockFilter:
         L[:n, :n] = np.diag(state.reach)
         return after._replace(L=L)
 
-    def unlearned(self, state: FilterState, block: Block) -> Course:
+    def unlearned(self, state: FilterState, block: Block) -> BlockCourse:
         """Return the course of samples that nothing was learned from."""
         N = len(block.inputs)
-        return Course(
+        return BlockCourse(
             np.tile(state.z[self.n :], (N, 1)), np.tile(state.z[: self.n], (N, 1)),
             np.full((N, self.ny), np.nan),
         )  # fmt: skip
 
-    def _predictions(self, whole: Block, e: Array, A: Array, rows: Any, state: FilterState) -> Array:
-        """Outputs one sample ahead: what the innovations of the sequence leave."""
+    def _ahead(self, whole: Block, update: Update, state: FilterState) -> Array:
+        """Outputs one sample ahead, NaN in gaps."""
+        _, _, _, _, e, A, rows = update
         # S = C C': the k-th entry of C^-1 e is the innovation of row k given the rows before
         C = np.linalg.cholesky(A @ A.T + np.eye(len(A)))
-        ahead = np.diag(C) * np.linalg.solve(C, e) * state.scales[rows[1]]
         found = np.full(whole.outputs.shape, np.nan)
-        found[rows] = whole.outputs[rows] - ahead
+        found[rows] = whole.outputs[rows] - np.diag(C) * np.linalg.solve(C, e) * state.scales[rows[1]]
         return found
 
     # -- results -------------------------------------------------------------------------------------
 
     def covariance(self, state: FilterState) -> Array:
-        """Covariance of the coefficients, shape (p, p); infinite before anything is learned."""
+        """Covariance of the coefficients, shape (p, p).
+
+        It is infinite before anything is learned.
+        """
         if not state.rounds:
             return np.diag(np.full(state.centre.size, np.inf))
         root = state.L[self.n :]
@@ -509,9 +607,11 @@ class BlockFilter:
 
 
 def output_sizes(block: Block) -> Array:
-    """Rms of each output over the samples that were measured; 1 for one that is zero."""
+    """Rms of each output where it was measured; 1 for one that is zero."""
     power = np.sum(np.where(block.use, block.outputs, 0.0) ** 2, axis=0)
-    return np.sqrt(np.where(power > 0, power, 1.0) / np.where(power > 0, np.maximum(block.use.sum(axis=0), 1), 1.0))
+    return np.sqrt(
+        np.where(power > 0, power, 1.0) / np.where(power > 0, np.maximum(block.use.sum(axis=0), 1), 1.0)
+    )
 
 
 def _cost(best: Minimum) -> float:
@@ -543,15 +643,16 @@ def _held(root: Array, n: int, spread: Array) -> tuple[Array, Array]:
     Return the square root of the covariance without them, and their own covariance (p, p). Blocks that are
     linearized at different points seem to tell something along a curved ridge; each pushes theta on.
     """
-    theta = root[n:] / spread[:, None]
-    U, sizes, V = np.linalg.svd(theta, full_matrices=False)
+    _, sizes, V = np.linalg.svd(root[n:] / spread[:, None], full_matrices=False)
     weak = V[sizes > _WEAK].T @ V[sizes > _WEAK]
     kept = root - root @ weak
     return kept, root[n:] @ weak @ root[n:].T
 
 
 def _forget(L: Array, root: Array, n: int, kept: float) -> Array:
-    """Widening W of the covariance, P = L W W' L', along directions of theta that a block informs of.
+    """Widening W of the covariance, P = L W W' L', to forget.
+
+    It acts along the directions of theta that a block informs of.
 
     A direction that learns little forgets in proportion (Kulhavy, Kybernetika 23 (1987) 1). `root` is that of
     the block's update.
@@ -561,4 +662,5 @@ def _forget(L: Array, root: Array, n: int, kept: float) -> Array:
     left, V = np.linalg.eigh(U.T @ root @ root.T @ U)  # of their unit variances, after the block
     lost, learned = 1.0 / kept - 1.0, 1.0 / np.maximum(left, 1e-12) - 1.0
     f = 1.0 + lost * np.clip(learned / lost / _EXCITED, 0.0, 1.0)
-    return np.eye(len(U)) + (U @ V * (np.sqrt(f) - 1.0)) @ (U @ V).T
+    widened: Array = np.eye(len(U)) + (U @ V * (np.sqrt(f) - 1.0)) @ (U @ V).T
+    return widened

@@ -1,4 +1,4 @@
-"""Forms of the refined model on one stream, the paper's stage 1 beside them.
+"""Forms of the refined model on one stream, with the paper's stage 1.
 
 Each form is judged by what it predicts, never by what it was fitted to: its model is frozen, then simulated
 over the stretch that follows (Dawid's prequential principle, J. Royal Statistical Soc. A 147 (1984) 278).
@@ -21,11 +21,11 @@ from ..systems.conversion import growth, nearest_continuous, stabilized, to_disc
 from ..systems.linear import Array, LinearModel
 from ..systems.response import frequency_response
 from .families import MILESTONES, Family
-from .filter import BlockFilter, Course, FilterState
+from .filter import BlockCourse, BlockFilter, FilterState
 from .history import PARAMETERS, CoefficientHistory, Summary, joined, pole_samples, poles_of, rates
-from .persistence import check_like, storable
 from .paper import PaperStages
-from .samples import Block, Complex, Flags
+from .persistence import storable
+from .samples import Block, Complex
 
 INITIAL = "initial"
 _WILD = "!"  # after the name of a form: its model as it is, however fast it grows
@@ -134,8 +134,9 @@ class Forms:
         nothing = next(iter(states.values())).first
         form = INITIAL if self._competing else next(iter(states))
         self.state_ = FormsState(states, nothing, (), nothing, {}, (form, False), {}, {}, 0, 0, self._silent)
-        self.records: dict[str, list[tuple[Course, Array]]] = {name: [] for name in states}
+        self.records: dict[str, list[tuple[BlockCourse, Array]]] = {name: [] for name in states}
         self._waiting: list[Block] = []
+        self._count = 0  # samples that wait
         self._ahead: list[Block] = []  # samples that stage 1 has not seen
         if self.first is not None:
             self.first.reset()
@@ -145,7 +146,7 @@ class Forms:
     @property
     def n_samples(self) -> int:
         """Samples taken."""
-        return self.n_learned + sum(len(block.inputs) for block in self._waiting)
+        return self.n_learned + self._count
 
     @property
     def n_learned(self) -> int:
@@ -165,14 +166,16 @@ class Forms:
         if self.n_samples + len(block.inputs) < self._end(self.n_learned):
             self._waiting.append(block)
             self._ahead.append(block)
+            self._count += len(block.inputs)
             return
         whole, state, position = Block.joined([*self._waiting, block]), self.state_, 0
-        records: dict[str, list[tuple[Course, Array]]] = {name: [] for name in self.filters}
+        records: dict[str, list[tuple[BlockCourse, Array]]] = {name: [] for name in self.filters}
         while (size := self._end(state.n_learned) - state.n_learned) <= len(whole.inputs) - position:
             state = self._step(state, whole.part(position, position + size), records)
             position += size
         self._ahead.append(block)
         self.state_, self._waiting = state, [whole.part(position, len(whole.inputs))]
+        self._count = len(whole.inputs) - position
         for name, found in records.items() if self.keep else ():
             self.records[name] += found
         self._stage_one()
@@ -194,9 +197,9 @@ class Forms:
         if state.n_learned == 0 and self._waiting:
             whole = Block.joined(self._waiting)
             if len(whole.inputs) > self.model.n_states + 2:
-                records: dict[str, list[tuple[Course, Array]]] = {name: [] for name in self.filters}
+                records: dict[str, list[tuple[BlockCourse, Array]]] = {name: [] for name in self.filters}
                 state = self._step(state, whole, records)
-                self._waiting = []
+                self._waiting, self._count = [], 0
         filters = {name: one.finish(state.filters[name]) for name, one in self.filters.items()}
         self.state_ = replace(state, filters=filters)
         if (first := self._stage_one()) is not None and not self.state_.silent:
@@ -232,7 +235,7 @@ class Forms:
     # -- comparison ----------------------------------------------------------------------------------
 
     def _judge(self, state: FormsState) -> FormsState:
-        """Judge the forms at the end of a stretch, drop those far behind, freeze their present models."""
+        """Judge the forms at the end of a stretch, and freeze their models."""
         running, stopped = self._running(state), dict(state.stopped)
         if state.frozen:
             chosen, scores = self._compare(state)
@@ -245,8 +248,19 @@ class Forms:
                     stopped[name] = f"fitted much worse after {state.n_learned} samples"
             length = len(state.stretch.inputs)
             state = replace(state, chosen=chosen, scores=scores, behind=behind, length=length)
+        frozen = self._freeze(state, stopped)
+        initial = state.filters[INITIAL]
+        if not self.keep and state.chosen[0] == INITIAL:
+            initial = self._started(state)
+        elif not self.keep:
+            initial = self.filters[INITIAL].begin(state.n_learned)
+        filters, nothing = state.filters | {INITIAL: initial}, state.stretch.part(0, 0)
+        return replace(state, filters=filters, frozen=tuple(frozen), stretch=nothing, stopped=stopped)
+
+    def _freeze(self, state: FormsState, stopped: dict[str, str]) -> list[Frozen]:
+        """Present models of the forms that go on; others enter `stopped`."""
         frozen = []
-        for name in [name for name in running if name not in stopped]:
+        for name in [name for name in self.filters if name not in stopped]:
             model = self._discrete(self._form_system(state, name, name))
             if not np.isfinite(model.A).all():
                 stopped[name] = f"had no finite model after {state.n_learned} samples"
@@ -256,16 +270,10 @@ class Forms:
             frozen.append(Frozen(name, calm, False))
             if calm is not model:
                 frozen.append(Frozen(name, model, True))
-        initial = state.filters[INITIAL]
-        if not self.keep and state.chosen[0] == INITIAL:
-            initial = self._started(state)
-        elif not self.keep:
-            initial = self.filters[INITIAL].begin(state.n_learned)
-        filters, nothing = state.filters | {INITIAL: initial}, state.stretch.part(0, 0)
-        return replace(state, filters=filters, frozen=tuple(frozen), stretch=nothing, stopped=stopped)
+        return frozen
 
     def _started(self, state: FormsState) -> FilterState:
-        """State of the initial model, found from the present stretch where it did not run so far."""
+        """State of the initial model, from the stretch where it did not run."""
         one, found = self.filters[INITIAL], state.filters[INITIAL]
         enough = len(state.stretch.inputs) > one.n + 2 and state.stretch.known.all()
         return one.fit(found, state.stretch) if found.rounds == 0 and enough else found
@@ -323,7 +331,7 @@ class Forms:
         return to_discrete(model, self.settings.dt, self.settings.hold)
 
     def _own_system(self, name: str) -> LinearModel:
-        """Best model in the timebase that it is estimated in; its growth is limited unless data support it."""
+        """Best model in its own timebase; it grows only where data support it."""
         form, grows = self._chosen
         model = self._form_system(self.state_, form, name)
         if not self._competing or grows:
@@ -344,7 +352,7 @@ class Forms:
         return self.filters[form], self._started(state) if form == INITIAL else state.filters[form]
 
     def estimate(self) -> tuple[Array, Array]:
-        """Coefficients and their covariance, in the time domain of the model that was given."""
+        """Coefficients and their covariance, in the model's time domain."""
         one, state = self._best()
         return one.family.translated(state.z[one.n :].copy(), one.covariance(state))
 
@@ -383,16 +391,18 @@ class Forms:
         return np.ascontiguousarray(one.predict(state, waiting, inputs).T)
 
     def deviation(self) -> Callable[[Array], Array] | None:
-        """Standard deviation of the refined frequency response, a function of frequency; None if unknown."""
+        """Standard deviation of the refined response, a function of frequency."""
         one, state = self._best()
         around = _variants(one, state)
-        return partial(_response_deviation, one.family.system(state.z[one.n :], ""), around) if around else None
+        return (
+            partial(_response_deviation, one.family.system(state.z[one.n :], ""), around) if around else None
+        )
 
     def history(self) -> CoefficientHistory:
-        """Course of both stages; samples that wait go on as the last block."""
+        """BlockCourse of both stages; samples that wait go on as the last block."""
         form = self.form
         one, state, records = self.filters[form], self.state_.filters[form], list(self.records[form])
-        if (waiting := [block for block in self._waiting if len(block.inputs)]) :
+        if waiting := [block for block in self._waiting if len(block.inputs)]:
             block = Block.joined(waiting)
             records.append((one.unlearned(state, block), np.where(block.use, block.outputs, np.nan)))
         y = joined([y for _, y in records], (self.model.n_outputs,))
@@ -468,7 +478,7 @@ class Forms:
         forms, count = state["forms"], state["count"]
         self.records = state["records"]
         self.state_ = replace(forms, waiting=forms.waiting.part(0, 0))
-        self._waiting, self._ahead = [forms.waiting.part(0, count)], []
+        self._waiting, self._ahead, self._count = [forms.waiting.part(0, count)], [], count
         if self.first is not None:
             self.first.restore(state["first"])
 
@@ -524,7 +534,7 @@ _SHARE = 1e-4
 
 
 def _variants(one: BlockFilter, state: FilterState) -> list[LinearModel]:
-    """Models that deviate slightly from the estimate, one along each independent direction."""
+    """Models that deviate slightly, one along each independent direction."""
     theta, covariance = state.z[one.n :], one.covariance(state)
     if state.rounds == 0 or not covariance.size:
         return []
@@ -538,7 +548,10 @@ def _variants(one: BlockFilter, state: FilterState) -> list[LinearModel]:
 
 
 def _response_deviation(center: LinearModel, around: Sequence[LinearModel], omega: Array) -> Array:
-    """Standard deviation of the frequency response, (n_y, n_w, K); NaN beyond the Nyquist frequency."""
+    """Standard deviation of the frequency response, (n_y, n_w, K).
+
+    It is NaN beyond the Nyquist frequency.
+    """
     seen = np.ones(omega.size, dtype=bool)
     if not center.is_continuous and center.dt is not None and center.dt is not True:
         seen = omega <= np.pi / float(center.dt)
@@ -567,7 +580,8 @@ def _notes(one: BlockFilter, state: FilterState) -> list[str]:
     levels = ", ".join(f"{label} {x:.3g}" for label, x in zip(family.model.output_labels, level, strict=True))
     of = _pole_caution, _bound_caution, _doubt_cautions, _error_cautions
     return [
-        f"std is the standard deviation of the value at this sample. Residual of the simulation (rms): {levels}.",
+        "std is the standard deviation of the value at this sample. Residual of the simulation (rms): "
+        f"{levels}.",
         *(sentence for caution in of for sentence in caution(one, state)),
     ]
 
@@ -617,7 +631,7 @@ def _error_cautions(one: BlockFilter, state: FilterState) -> list[str]:
 
 
 def _pole_caution(one: BlockFilter, state: FilterState) -> list[str]:
-    """Poles that are unstable where those of the initial model are not, or too slow for the stream."""
+    """Poles that became unstable, or are too slow for the stream."""
     family, dt = one.family, one.settings.dt
     before = rates(family.model, dt).real.max(initial=-np.inf)
     poles: Complex = rates(family.system(state.z[one.n :], "refined"), dt)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import as_choice, as_flag, as_list, as_whole
 from ..data.measurement import Measurement
+from ..effects.bodies import Entry
 from ..effects.effect import Effect
 from ..exceptions import ModelError, RCOError, warn
 from ..models.operating_point import check_stream_hold
@@ -34,8 +35,8 @@ from .families import (
 from .forms import INITIAL, Forms
 from .history import CoefficientHistory, History, Summary
 from .locks import Locked
-from .persistence import check_like, read_file, write_file
 from .paper import PaperStages
+from .persistence import check_like, read_file, write_file
 from .samples import (
     Sampled,
     as_missing,
@@ -91,6 +92,8 @@ class RCORefiner(Locked, Result):
         Stage 1: its memory n_c in samples (5), weight alpha of a change of theta (1e5; larger is slower).
     use_estimated_states : bool, optional
         With False stage 1 does not run.
+    **old : optional
+        Keywords of version 0.2, with a `FutureWarning` that names the new line.
 
     Raises
     ------
@@ -110,6 +113,7 @@ class RCORefiner(Locked, Result):
     """
 
     _latest: Array
+    _estimator: PaperStages | Forms
 
     def __init__(
         self,
@@ -160,7 +164,7 @@ class RCORefiner(Locked, Result):
         history: bool = False,
         missing: str = "raise",
     ) -> RCORefiner:
-        """Return a refiner that runs the equations (23) to (46) of the paper, both stages.
+        """Return a refiner that runs the equations (23) to (46) of the paper.
 
         Parameters
         ----------
@@ -207,7 +211,9 @@ class RCORefiner(Locked, Result):
         refiner._begin(model, dt, given, paper_stages)
         return refiner
 
-    def _begin(self, model: Any, dt: float | None, settings: dict[str, Any], make: Callable[..., Any]) -> None:
+    def _begin(
+        self, model: Any, dt: float | None, settings: dict[str, Any], make: Callable[..., Any]
+    ) -> None:
         # settings stay as they were given: `save` writes them, `load` builds the refiner from them
         self.model, self.dt, self.effects = model, dt, settings.get("effects")
         self._settings, self._paper = settings, make is paper_stages
@@ -602,7 +608,7 @@ class RCORefiner(Locked, Result):
 
     @property
     def _hold(self) -> str:
-        """How the input runs between samples."""
+        """Hold of the inputs."""
         return str(self._settings.get("hold", "zoh"))
 
     def _name(self) -> str:
@@ -633,7 +639,7 @@ def _as_items(items: Any) -> list[Any]:
     return [items] if isinstance(items, str | Effect) else as_list(items, "effects", "entries or effects")
 
 
-_BESIDE = {"window": 100, "markov": 20, }  # stage 1 beside the filter: a short window costs less
+_BESIDE = {"window": 100, "markov": 20}  # stage 1 beside the filter: a short window costs less
 _MOST = 150  # coefficients of a form that takes part in a comparison unasked
 _PAPERS = ("window", "markov", "static_window", "static_markov", "static_learning_rate",
            "static_average")  # fmt: skip
@@ -641,7 +647,7 @@ _STAGE_ONE = ("correction_input", "correction_feedthrough", "scale")
 
 
 def modern(given: dict[str, Any], old: dict[str, Any]) -> tuple[dict[str, Any], Callable[..., Any]]:
-    """Settings of the constructor for keywords of version 0.2, and what makes the estimator of them.
+    """Settings for keywords of version 0.2, and what they run.
 
     Raises
     ------
@@ -655,42 +661,49 @@ def modern(given: dict[str, Any], old: dict[str, Any]) -> tuple[dict[str, Any], 
     FutureWarning
         With the line that replaces them.
     """
-    known = ("static", *_PAPERS, *_STAGE_ONE)
-    if unknown := [name for name in old if name not in known]:
+    if unknown := sorted(set(old) - {"static", *_PAPERS, *_STAGE_ONE}):
         raise TypeError(f"RCORefiner has no argument {unknown[0]!r}")
     static, papers = old.pop("static", "auto"), [name for name in _PAPERS if old.get(name) is not None]
-    filters = [name for name in ("noise", "disturbance", "substeps") if given[name] is not None]
-    filters += [name for name, value in (("hold", "zoh"), ("forgetting", 1.0)) if given[name] != value]
     form, effects = static if isinstance(static, str) else "auto", None if isinstance(static, str) else static
-    if effects is not None and given["effects"] is not None or (form != "auto" and given["effects"] is not None):
+    if given["effects"] is not None and (effects is not None or form != "auto"):
         raise ct.ControlArgument("effects= and static= name the same thing; give effects=")
     effects = given["effects"] if effects is None else _as_tuple(effects)
     if papers and effects is None and form == "auto":
-        if filters:
-            raise ct.ControlArgument(
-                f"{filters[0]} is a setting of the filter, {papers[0]} one of the paper's equations; leave one "
-                "of the two out"
-            )
-        shared = ("order", "learning_rate", "use_estimated_states", "history", "missing")
-        found = {name: given[name] for name in shared} | old
-        defaults = {"window": 800, "markov": 20}
-        found |= {name: value for name, value in defaults.items() if found.get(name) is None}
-        # version 0.2 averaged 800 samples unless a window was given
-        if all(old.get(name) is None for name in ("static_average", "window", "static_window")):
-            found["static_average"] = 800
-        whole = dict.fromkeys(inspect.signature(RCORefiner.paper).parameters)
-        whole = {name: None for name in whole if name not in ("model", "dt")} | {"scale": "auto"} | found
-        _outdated(f"use RCORefiner.paper(model, dt=..., {papers[0]}=...)")
-        return whole, paper_stages
+        return _papers_settings(given, old, papers[0]), paper_stages
+    _check_forms(form, papers)
+    line = f"effects={list(effects)!r}" if effects is not None else f"form={form!r}"
+    _outdated(f"use RCORefiner(model, dt=..., {line})")
+    return given | {"effects": effects, "form": form} | old, assembled
+
+
+def _check_forms(form: str, papers: list[str]) -> None:
+    """Refuse settings of the paper for a form, and the form that is gone."""
     if wrong := [name for name in papers if name in _PAPERS[2:]]:
         raise ct.ControlArgument(f"{wrong[0]} is a setting of the paper's static stage: use RCORefiner.paper")
     if form == "input":
         raise ct.ControlArgument(
             'the form "input" is gone: use RCORefiner.paper, or form="discrete", which contains it'
         )
-    line = f"effects={list(effects)!r}" if effects is not None else f"form={form!r}"
-    _outdated(f"use RCORefiner(model, dt=..., {line})" if static != "auto" else f"{', '.join(old)} set stage 1 alone")
-    return given | {"effects": effects, "form": form} | old, assembled
+
+
+def _papers_settings(given: dict[str, Any], old: dict[str, Any], asked: str) -> dict[str, Any]:
+    """Settings of `RCORefiner.paper` for keywords of version 0.2."""
+    filters = [name for name in ("noise", "disturbance", "substeps") if given[name] is not None]
+    filters += [name for name, value in (("hold", "zoh"), ("forgetting", 1.0)) if given[name] != value]
+    if filters:
+        raise ct.ControlArgument(
+            f"{filters[0]} is a setting of the filter, {asked} one of the paper's equations; leave "
+            "one of the two out"
+        )
+    shared = ("order", "learning_rate", "use_estimated_states", "history", "missing")
+    found = {name: given[name] for name in shared} | old
+    found |= {name: value for name, value in (("window", 800), ("markov", 20)) if found.get(name) is None}
+    # version 0.2 averaged 800 samples unless a window was given
+    if all(old.get(name) is None for name in ("static_average", "window", "static_window")):
+        found["static_average"] = 800
+    _outdated(f"use RCORefiner.paper(model, dt=..., {asked}=...)")
+    names = [name for name in inspect.signature(RCORefiner.paper).parameters if name not in ("model", "dt")]
+    return dict.fromkeys(names) | {"scale": "auto"} | found
 
 
 def _outdated(line: str) -> None:
@@ -708,13 +721,22 @@ def assembled(model: Any, sampled: Sampled, given: dict[str, Any]) -> Forms:
     if effects is not None and form != "auto":
         raise ct.ControlArgument("effects= and form= name the same thing; give one of them")
     form = as_choice(form, "form", ("auto", "nonzero", "discrete"))
-    substeps = given["substeps"]
-    if substeps is not None:
-        substeps = as_whole(substeps, "substeps", least=1, error=ModelError)
+    if given["substeps"] is not None:
+        as_whole(given["substeps"], "substeps", least=1, error=ModelError)
     step = 1.0 if sampled.step is None else sampled.step
     settings = checked_settings(
         initial.n_outputs, step, *(given[name] for name in ("hold", "noise", "disturbance", "forgetting"))
     )
+    families = _families(model, sampled, given, form, settings)
+    first, silent = _stage_one(sampled, given)
+    return Forms(families, first, as_flag(given["history"], "history"), silent)
+
+
+def _families(
+    model: Any, sampled: Sampled, given: dict[str, Any], form: str, settings: FilterSettings
+) -> dict[str, Family]:
+    """Models with coefficients that take part, by the names of their forms."""
+    effects, substeps, initial = given["effects"], given["substeps"], sampled.initial
     items = None if effects is None else _as_items(effects)
     if items is None or (items and all(isinstance(item, str) for item in items)):
         if substeps is not None:
@@ -722,20 +744,15 @@ def assembled(model: Any, sampled: Sampled, given: dict[str, Any]) -> Forms:
         physical = getattr(model, "physical_model", model)
         if isinstance(physical, PhysicalModel):
             check_stream_hold(physical, settings.hold)
-    families: dict[str, Family]
-    if items is None:
-        families = _forms(form, sampled, settings)
-    elif items and all(isinstance(item, str) for item in items):
-        families = {"coefficients": Entries(initial, initial, checked_entries(initial, items), settings, 0.1)}
-    else:
-        items = [Effect("coefficient", item) if isinstance(item, str) else item for item in items]
-        families = {"coefficients": Effects(model, items, settings, substeps)}
-    first, silent = _stage_one(sampled, given)
-    return Forms(families, first, as_flag(given["history"], "history"), silent)
+        if items is None:
+            return _forms(form, sampled, settings)
+        return {"coefficients": Entries(initial, initial, checked_entries(initial, items), settings, 0.1)}
+    items = [Effect(Entry.name, item) if isinstance(item, str) else item for item in items]
+    return {"coefficients": Effects(model, items, settings, substeps)}
 
 
 def _forms(form: str, sampled: Sampled, settings: FilterSettings) -> dict[str, Family]:
-    """Return the forms that take part, the most physical first, and the initial model."""
+    """Return the forms that take part, and the initial model."""
     initial, discrete = sampled.initial, sampled.discrete
     found: dict[str, Family] = {}
     if form in ("auto", "nonzero"):
