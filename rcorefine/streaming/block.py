@@ -6,11 +6,11 @@ Engine, Gauss-Newton and derivatives are those of `refine` and `diagnose`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ..data.measurement import Measurement
@@ -19,6 +19,7 @@ from ..engine.structure import Structure
 from ..gauss_newton import Rows, gauss_newton
 from ..inference.covariance import covariance, standard_deviations
 from ..inference.problem import natural_sizes
+from ..inference.whitening import Whitener, innovations
 from ..systems.linear import Array
 
 _ENOUGH = 5e-3  # of the log-likelihood, that a last step may still add
@@ -26,6 +27,34 @@ _REACH = (
     8.0  # times its start, by which a gap, a limit or a fading speed may move: beyond, the law is another
 )
 _HUGE = 1e100  # errors and slopes beyond which the model has blown up
+
+
+class Whitening(NamedTuple):
+    """Whitening of a stretch with gaps.
+
+    Attributes
+    ----------
+    whitener : Whitener
+        Filters.
+    use : ndarray of bool, shape (n_y, N)
+        Which outputs count.
+    scale : ndarray, shape (n_y, N)
+        By how much the noise is larger at each sample.
+    """
+
+    whitener: Whitener
+    use: NDArray[np.bool_]
+    scale: Array
+
+    def __call__(self, errors: Array, /) -> Array:
+        """Rows of unit variance, of samples with a whole past."""
+        rows = []
+        for i, (a, size) in enumerate(zip(self.whitener.filters, self.whitener.scales, strict=True)):
+            q, shape = a.size - 1, (-1, *[1] * (errors.ndim - 2))
+            judged = sliding_window_view(self.use[i], q + 1).all(axis=1) if self.use.shape[1] > q else [False]
+            white = innovations(a, np.where(self.use[i].reshape(shape), errors[i], 0.0))[q:]
+            rows.append((white / (size * self.scale[i, q:].reshape(shape)))[np.asarray(judged)])
+        return np.concatenate(rows)
 
 
 class Stretch(NamedTuple):
@@ -37,7 +66,7 @@ class Stretch(NamedTuple):
         Samples; where an output is missing, any number.
     use : ndarray of bool, shape (N, n_y)
         Which outputs count.
-    whiten : callable
+    whiten : Whitening
         Makes errors (n_y, N) or (n_y, N, p) independent rows of unit variance.
     x0 : ndarray, shape (n,)
         State at the first sample, before its correction.
@@ -51,7 +80,7 @@ class Stretch(NamedTuple):
 
     data: Measurement
     use: NDArray[np.bool_]
-    whiten: Callable[[Array], Array]
+    whiten: Whitening
     x0: Array
     known_start: bool
     gain: Array

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -243,11 +244,15 @@ def clear_place(rows: Iterable[MonitorRow], misfit: float) -> str:
 
 
 def next_look(age: int, period: int, room: int) -> int:
-    """Age of a change in samples at which it is looked at next: 1/2, 1, 2, 4, ... periods."""
-    step = max(period // 2, 1)
-    while step <= age:
+    """Age of a change in samples at which it is looked at next.
+
+    Looks come 1/4, 1/2, 3/4, 1, 3/2, 2, 3, 4 and then 8, 16, ... periods after the crossing.
+    """
+    step = max(period // 4, 1)
+    while age >= 4 * step:
         step *= 2
-    return min(step, age + room)
+    later = (age // step + 1) * step if step <= period else 4 * step
+    return min(later, age + room)
 
 
 def simplest(rows: Sequence[MonitorRow]) -> tuple[MonitorRow, list[MonitorRow]]:
@@ -261,6 +266,12 @@ def simplest(rows: Sequence[MonitorRow]) -> tuple[MonitorRow, list[MonitorRow]]:
         and row.log_likelihood > best.log_likelihood - 0.5 * levels().rival
     ]
     return min(alike, key=lambda row: len(row.coefficients)), alike
+
+
+def renames(misfit: float, before: float, gain: float) -> bool:
+    """Return whether a later ranking replaces one: its fit is about as good, and worth a name."""
+    level = levels()
+    return misfit <= level.alarm_left * before and gain >= level.alarm_worth
 
 
 def is_gone(value: float, std: float, expected: float, cost: float, plain: float, points: int) -> bool:
@@ -284,34 +295,22 @@ def is_gone(value: float, std: float, expected: float, cost: float, plain: float
 
 
 # ------------------------------------------------------------------------ scores
-def standing(watched: Watched, state: State, candidates: Sequence[Effect]) -> tuple[float, Array]:
+def standing(watched: Watched, state: State) -> tuple[float, Array]:
     """Return the largest statistic over its threshold, and the gain of each candidate, 0 at the threshold.
 
     A candidate that changes a parameter of the model has the score of that; the others have the energy.
     """
-    square, level = statistics(watched, state), watched.levels**2
+    square, level = statistics(watched, state), watched.squares
     best = np.where(np.isfinite(level), 0.5 * (square - level), -np.inf).max(axis=0)
-    columns = [column_of(watched, effect) for effect in candidates]
-    return float(np.sqrt((square / level).max(initial=0.0))), best[columns]
+    return float(np.sqrt((square / level).max(initial=0.0))), best[watched.seen_in]
 
 
-def column_of(watched: Watched, effect: Effect) -> int:
-    """Column of the scores in which a candidate is seen; -1 is the energy."""
-    s = watched.numbers.structure
-    for k, column in enumerate(watched.numbers.columns):
-        other = s.effects[s.parameters[column].effect]
-        if (other.kind, other.place) == (effect.kind, effect.place) and len(effect.free) == 1:
-            return k
-    return -1
-
-
-def linear_rows(watched: Watched, state: State, candidates: Sequence[Effect]) -> tuple[MonitorRow, ...]:
+def linear_rows(watched: Watched, state: State) -> tuple[MonitorRow, ...]:
     """Ranking by the scores alone, while no alarm is on."""
-    _, gains = standing(watched, state, candidates)
-    square, wide, level = statistics(watched, state), variances(watched, state), watched.levels**2
+    _, gains = standing(watched, state)
+    square, wide, level = statistics(watched, state), variances(watched, state), watched.squares
     rows = []
-    for effect, gain in zip(candidates, gains, strict=True):
-        k = column_of(watched, effect)
+    for effect, k, gain in zip(watched.candidates, watched.seen_in, gains, strict=True):
         m = int(np.argmax(square[:, k] - np.where(np.isfinite(level[:, k]), level[:, k], np.inf)))
         V = state.V[m, k]
         # one step of Gauss-Newton: N / V; forgetting sums the squares once, not twice
@@ -319,7 +318,9 @@ def linear_rows(watched: Watched, state: State, candidates: Sequence[Effect]) ->
         size = 1 / (V * (1 + watched.keep[m])) if seen else 0.0
         value, std = (state.N[m, k] * size, math.sqrt(wide[m, k]) * size) if seen else (0.0, math.inf)
         name = effect.free[0]
-        rows.append(MonitorRow(effect, {name: float(value)}, {name: float(std)}, math.nan, float(gain), False))
+        rows.append(
+            MonitorRow(effect, {name: float(value)}, {name: float(std)}, math.nan, float(gain), False)
+        )
     return ranked(rows, shares(float(gains.max()), gains)[1:])
 
 
@@ -329,14 +330,14 @@ def ranked(rows: Iterable[MonitorRow], probabilities: Array) -> tuple[MonitorRow
     return tuple(sorted(shared, key=lambda row: (-row.probability, -row.log_likelihood)))
 
 
-def history_row(watched: Watched, state: State, case: Case | None, candidates: Sequence[Effect]) -> Array:
+def history_row(watched: Watched, state: State, case: Case | None) -> Array:
     """Probabilities, statistic over its threshold, coefficient and its standard deviation."""
-    ratio, gains = standing(watched, state, candidates)
+    ratio, gains = standing(watched, state)
     if case is None or not case.rows:
         p, value, std = shares(float(gains.max()), gains), math.nan, math.nan
     else:
         by = {row.effect: row.log_likelihood for row in case.rows}
-        now = np.array([by[effect] for effect in candidates])
+        now = np.array([by[effect] for effect in watched.candidates])
         p, value, std = shares(change_of(case, gains), now, case.none), case.value, case.std
     return np.concatenate([p, [ratio, value, std]])
 
@@ -347,9 +348,9 @@ def change_of(case: Case, gains: Array) -> float:
 
 
 # ------------------------------------------------------------------------ fits
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Fits:
-    """Fits of candidates to the samples of a state.
+    """Candidates fitted to the samples of a state, each from the sample on from which it explains most.
 
     Attributes
     ----------
@@ -357,137 +358,113 @@ class Fits:
         Healthy model.
     state : State
         Samples that are kept.
-    known : mapping
-        Coefficients from which a candidate starts.
-    """
-
-    watched: Watched
-    state: State
-    known: Mapping[Effect, Array] = field(default_factory=dict)
-    made: dict[Any, Any] = field(default_factory=dict)
-
-    @property
-    def oldest(self) -> int:
-        """First sample from which on a fit can begin."""
-        return max(self.state.count - BLOCKS, 0) * self.watched.block + 1
-
-    def stretch(self, first: int, known_start: bool) -> Stretch:
-        """Samples from `first` on, with the state of the healthy model there."""
-        if (first, known_start) not in self.made:
-            w, B = self.watched, self.watched.block
-            # ring_x is the corrected state at the last sample before a block
-            b = min(max((first + 1) // B, self.state.count - BLOCKS + 1, 1), self.state.count - 1)
-            blocks = self.state.count - b + 1
-            part, at = recent(self.state, min(blocks, BLOCKS)), B - 1
-            scale = self.state.ring_scale[-blocks:].reshape(len(part.use), -1)
-            ahead, x = max(first - (b * B - 1), 0), self.state.ring_x[1 - blocks]
-            if ahead:
-                whole = w.stretch(part.part(at, at + ahead + 1), x, scale[at : at + ahead + 1], known_start=True)
-                use = whole.use.copy()
-                use[0] = False
-                engine = Engine(w.numbers.structure, whole.data, substeps=w.substeps)
-                gain = w.healthy.gain if w.healthy.gain.any() else None
-                run = engine.run(
-                    w.healthy.theta, x, sensitivity=False, gain=gain, use=use, histories=True, check=False
-                )
-                x, at = run.states[:, -1], at + ahead
-            found = w.stretch(part.part(at, len(part.use)), x, scale[at:], known_start=known_start)
-            found.use[0] = not known_start  # the state there is corrected already
-            self.made[first, known_start] = found
-        return self.made[first, known_start]
-
-    @property
-    def motion(self) -> Motion:
-        """Motion at the places, for the shapes of laws."""
-        if "motion" not in self.made:
-            blocks = min(self.state.count - 1, 64)
-            bare = Structure(self.watched.base.structure.model)
-            data = self.stretch((self.state.count - blocks) * self.watched.block, False).data
-            self.made["motion"] = Motion(bare, np.zeros(0), data)
-        return self.made["motion"]
-
-    def structure(self, effect: Effect | None) -> tuple[Structure, list[Array], int]:
-        """Healthy model with its parameters held and the candidate; starts, and substeps."""
-        if effect not in self.made:
-            s, theta = self.watched.numbers.structure, self.watched.healthy.theta
-            held = [
-                hold_coefficients(e, {n: float(s.value(theta, i, n)) for n in e.coefficients})
-                for i, e in enumerate(s.effects)
-            ]
-            bare = Structure(s.model, [*held, *filter(None, [effect])], constants=s.constants)
-            widths = law_widths(bare, self.motion) if effect is not None and bare.port_effects else {}
-            whole = Structure(s.model, bare.effects, constants=widths | s.constants)
-            points = [np.zeros(0)]
-            if effect is not None:
-                points = shape_starts(whole, whole.start(), self.motion, len(held))[:_STARTS]
-            steps = max(self.watched.base.substeps, 1 if whole.is_linear else 2)
-            self.made[effect] = whole, points, steps
-        return self.made[effect]
-
-    def fit(self, effect: Effect | None, first: int, known_start: bool, evaluations: int = _FIT) -> BlockFit:
-        """Fit a candidate (None: the healthy model) to the samples from `first` on."""
-        whole, points, steps = self.structure(effect)
-        stretch = self.stretch(first, known_start)._replace(substeps=steps)
-        if effect in self.known:
-            points = [self.known[effect]]
-        fits = [fit_block(whole, stretch, point, evaluations=evaluations) for point in points]
-        return min(fits, key=lambda fit: fit.cost)
-
-
-@dataclass(eq=False)
-class Contest:
-    """Candidates, each from the sample on from which it explains most.
-
-    Attributes
-    ----------
-    fits : Fits
-        Samples.
     known_start : bool
         Whether the state at the change is that of the healthy model.
+    points : dict
+        Coefficients at which a candidate was found last: there it starts.
     since : dict
         Sample from which each candidate acts.
     """
 
-    fits: Fits
+    watched: Watched
+    state: State
     known_start: bool
-    since: dict[Effect, int]
-    found: dict[Any, Any] = field(default_factory=dict)
     points: dict[Effect, Array] = field(default_factory=dict)
+    since: dict[Effect, int] = field(default_factory=dict)
+    stretches: dict[int, Stretch] = field(default_factory=dict)
+    structures: dict[Effect | None, tuple[Structure, list[Array]]] = field(default_factory=dict)
+    plain: dict[int, BlockFit] = field(default_factory=dict)
+    trials: dict[tuple[Effect, int], tuple[Trial, int]] = field(default_factory=dict)
+
+    @property
+    def oldest(self) -> int:
+        """First sample from which on a fit can begin."""
+        return max(self.state.blocks - BLOCKS, 0) * self.watched.block + 1
+
+    def stretch(self, first: int) -> Stretch:
+        """Samples from `first` on, with the state of the healthy model there."""
+        if first in self.stretches:
+            return self.stretches[first]
+        w, B, s = self.watched, self.watched.block, self.state
+        # ring_x is the corrected state at the last sample before a block
+        b = min(max((first + 1) // B, s.blocks - BLOCKS + 1, 1), s.blocks - 1)
+        blocks, at = s.blocks - b + 1, B - 1
+        part, x, ahead = recent(s, blocks), s.ring_x[1 - blocks], max(first - (b * B - 1), 0)
+        scale = s.ring_scale[-blocks:].reshape(part.use.shape)
+        if ahead:
+            known = w.stretch(part.part(at, at + ahead + 1), x, scale[at : at + ahead + 1], known_start=True)
+            run = Engine(w.numbers.structure, known.data, substeps=w.substeps).run(
+                w.healthy.theta, x, sensitivity=False, gain=known.gain if known.gain.any() else None,
+                use=known.use, histories=True, check=False,
+            )  # fmt: skip
+            x, at = run.states[:, -1], at + ahead
+        found = w.stretch(part.part(at, len(part.use)), x, scale[at:], known_start=self.known_start)
+        return self.stretches.setdefault(first, found)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Motion at the places, for the shapes of laws."""
+        first = (self.state.blocks - min(self.state.blocks - 1, 64)) * self.watched.block
+        return Motion(Structure(self.watched.base.structure.model), np.zeros(0), self.stretch(first).data)
+
+    def structure(self, effect: Effect | None) -> tuple[Structure, list[Array]]:
+        """Healthy model with its parameters held and the candidate, and where its fit starts."""
+        if effect in self.structures:
+            return self.structures[effect]
+        s, theta = self.watched.numbers.structure, self.watched.healthy.theta
+        effects = [
+            hold_coefficients(e, {n: float(s.value(theta, i, n)) for n in e.coefficients})
+            for i, e in enumerate(s.effects)
+        ]
+        starts = [np.zeros(0)]
+        whole = Structure(s.model, effects, constants=s.constants)
+        if effect is not None:
+            bare = Structure(s.model, [*effects, effect], constants=s.constants)
+            whole = Structure(s.model, bare.effects, constants=law_widths(bare, self.motion) | s.constants)
+            starts = shape_starts(whole, whole.start(), self.motion, len(effects))[:_STARTS]
+        return self.structures.setdefault(effect, (whole, starts))
+
+    def fit(self, effect: Effect | None, first: int, evaluations: int = _FIT) -> BlockFit:
+        """Fit a candidate (None: the healthy model) to the samples from `first` on."""
+        whole, starts = self.structure(effect)
+        steps = max(self.watched.base.substeps, 1 if whole.is_linear else 2)
+        stretch = self.stretch(first)._replace(substeps=steps)
+        if effect is not None and effect in self.points:
+            starts = [self.points[effect]]
+        fits = [fit_block(whole, stretch, start, evaluations=evaluations) for start in starts]
+        return min(fits, key=lambda fit: fit.cost)
 
     def nothing(self, at: int) -> BlockFit:
         """What the healthy model leaves from a sample on."""
-        if at not in self.found:
-            self.found[at] = self.fits.fit(None, at, self.known_start)
-        return self.found[at]
+        if at not in self.plain:
+            self.plain[at] = self.fit(None, at)
+        return self.plain[at]
 
     def trial(self, effect: Effect, at: int, evaluations: int = _FIT) -> Trial:
-        """Fit a candidate from a sample on; it goes on from where it was found to fit elsewhere."""
-        if (effect, at) not in self.found or self.found[effect, at][1] < evaluations:
-            fits = self.fits
-            if effect in self.points:
-                fits = replace(fits, known={effect: self.points[effect]})
-            fit = fits.fit(effect, at, self.known_start, evaluations)
-            one = Trial(effect, fit, -math.inf)
+        """Fit a candidate from a sample on, unless it was with as many simulations."""
+        found, spent = self.trials.get((effect, at), (None, -1))
+        if found is None or spent < evaluations:
+            fit, gain = self.fit(effect, at, evaluations), -math.inf
             if math.isfinite(fit.cost):
-                self.points[effect] = fit.theta
-                gain = 0.5 * (self.nothing(at).cost - fit.cost)
-                # a size that the samples do not determine, or that physics excludes, explains nothing
-                sound = one.determined and one.possible(fits.watched.numbers.structure.model)
-                one = one._replace(gain=gain if sound else min(gain, 0.0))
-            self.found[effect, at] = one, evaluations
-        return self.found[effect, at][0]
+                self.points[effect], gain = fit.theta, 0.5 * (self.nothing(at).cost - fit.cost)
+            found = Trial(effect, fit, gain)
+            # a size that the samples do not determine, or that physics excludes, explains nothing
+            if gain > 0 and not (found.determined and found.possible(self.watched.numbers.structure.model)):
+                found = found._replace(gain=0.0)
+            self.trials[effect, at] = found, evaluations
+        return found
 
     def best(self, effect: Effect) -> Trial:
         """Fit of a candidate at its own sample."""
         return self.trial(effect, self.since[effect], 0)
 
     @property
-    def top(self) -> Effect:
+    def top(self) -> Trial:
         """Candidate that gains most."""
-        return max(self.since, key=lambda effect: self.best(effect).gain)
+        return max(map(self.best, self.since), key=lambda one: one.gain)
 
     def screened(self) -> list[Effect]:
-        """Return the candidates by a first fit, and fit those that lead to the end."""
+        """Return the candidates that lead after a first fit, and fit them to the end."""
         for effect in self.since:
             self.trial(effect, self.since[effect], _SCREEN)
         order = sorted(self.since, key=lambda effect: -self.best(effect).gain)
@@ -498,100 +475,98 @@ class Contest:
             self.trial(effect, self.since[effect])
         return leaders
 
-    def moved(self, leaders: Sequence[Effect], step: int, oldest: int, latest: int) -> None:
+    def move(self, leaders: Sequence[Effect], step: int, latest: int) -> None:
         """Give each leader its own best sample: a few samples off, a wrong candidate can fit better."""
         while step:
             for effect in leaders:
                 for way in (-step, step):
-                    while oldest < self.since[effect] + way <= latest:
-                        there = self.trial(effect, self.since[effect] + way)
-                        if not there.gain > self.best(effect).gain:
+                    while self.oldest < self.since[effect] + way <= latest:
+                        if self.trial(effect, self.since[effect] + way).gain <= self.best(effect).gain:
                             break
                         self.since[effect] += way
             step //= 2
         # what one of them found of the time counts for all at these places
-        at, places = self.since[self.top], {effect.place for effect in leaders}
+        at, places = self.since[self.top.effect], {effect.place for effect in leaders}
         for effect in self.since:
             if effect.place in places and self.trial(effect, at).gain > self.best(effect).gain:
                 self.since[effect] = at
 
 
-def name(watched: Watched, state: State, case: Case, candidates: Sequence[Effect]) -> Case:
+def name(watched: Watched, state: State, case: Case) -> Case:
     """Fit the candidates to the samples since the change, and rank them."""
-    n, B, T = state.count * watched.block, watched.block, watched.period
-    latest = 0
+    n, B, T = state.blocks * watched.block, watched.block, watched.period
     before = {
         row.effect: np.array(list(row.coefficients.values()))
         for row in case.rows
         if row.fitted and row.probability > _KEPT
     }
-    fits = Fits(watched, state, before)
     settle = n - 1 - case.crossed <= _SETTLE * T or not before
+    fits = Fits(watched, state, True, dict(before))
     first = max(n - _FOLLOW * T, fits.oldest)
-    known_start = case.since >= fits.oldest and (settle or case.since >= first)
+    # filters need a past: the change began before the crossing, and some samples ago
+    latest = max(min(case.crossed, n - 2 * len(state.past) - 8), fits.oldest)
     if settle:
-        # filters need a past: the change began before the crossing, and some samples ago
-        latest = max(min(case.crossed, n - 2 * len(state.past) - 8), fits.oldest)
-        first = int(np.clip(likely_change(watched, state), fits.oldest, latest))
-    elif known_start:
+        first = case.since if before else likely_change(watched, state)
+        first = int(np.clip(first, fits.oldest, latest))
+    elif case.since >= first:
         first = case.since
-    simple = [e for e in candidates if len(e.free) == 1] or list(candidates)
-    contest = Contest(fits, known_start, dict.fromkeys(simple if settle else before, first))
-    leaders = contest.screened()
-    for stage in range(2):
+    fits.known_start = settle or first == case.since
+    fits.since = dict.fromkeys(_simple(watched) if settle else before, first)
+    leaders = fits.screened()
+    for again in (True, False):
         if settle:
-            contest.moved(leaders, 2 * B, fits.oldest, latest)
-        best = contest.best(contest.top)
-        if best.fit.cost < chi2.isf(_LEFT, max(best.fit.points, 1)) and best.gain > 0:
+            fits.move(leaders, B // 2 if before else 2 * B, latest)
+        top = fits.top
+        others = [e for e in watched.candidates if e.place in {one.place for one in leaders}]
+        reached = top.fit.cost < chi2.isf(_LEFT, max(top.fit.points, 1)) and top.gain > 0
+        if reached or not again or fits.since.keys() >= set(others):
             break
         # more than noise is left: all laws at the places that lead
-        at, places = contest.since[contest.top], {effect.place for effect in leaders}
-        others = [e for e in candidates if e.place in places and e not in contest.since]
-        if stage or not others:
-            break
-        contest.since |= dict.fromkeys(others, at)
-        leaders = contest.screened()
-    since = contest.since[contest.top]
-    trials = [contest.best(effect) for effect in contest.since]
-    trials = [one for one in trials if math.isfinite(one.fit.cost)]
+        fits.since = dict.fromkeys(others, fits.since[top.effect]) | fits.since
+        leaders = fits.screened()
+    trials = [one for one in map(fits.best, fits.since) if math.isfinite(one.fit.cost)]
     if not trials:
         return case
-    fair, misfit, none = weighed(trials, contest.nothing(since).cost)
-    level = levels()
-    if not settle and (misfit > level.alarm_left * case.misfit or fair[0].gain < level.alarm_worth):
+    since = fits.since[top.effect]
+    fair, misfit, none = weighed(trials, fits.nothing(since).cost)
+    if not settle and not renames(misfit, case.misfit, fair[0].gain):
         return case  # the change itself is changing, or going: the name that fitted well stays
-    rows = ranked_fits(watched, state, candidates, fair)
-    _, gains = standing(watched, state, candidates)
+    rows = ranked_fits(watched, state, fair)
+    _, gains = standing(watched, state)
     p = shares(change_of(case, gains), np.array([row.log_likelihood for row in rows]), none)
     kept = since if settle else case.since
     return replace(case, rows=ranked(rows, p[1:]), misfit=misfit, none=none, since=kept)
 
 
-def ranked_fits(
-    watched: Watched, state: State, candidates: Sequence[Effect], fair: Sequence[Trial]
-) -> list[MonitorRow]:
+def _simple(watched: Watched) -> list[Effect]:
+    """Candidates of one coefficient, or all where there are none."""
+    return [e for e in watched.candidates if len(e.free) == 1] or list(watched.candidates)
+
+
+def ranked_fits(watched: Watched, state: State, fair: Sequence[Trial]) -> list[MonitorRow]:
     """Row of each candidate: its fit, or the linear estimate of one that was not worth it."""
     by, worst = {one.effect: one for one in fair}, min(one.gain for one in fair)
     rows = []
-    for row in linear_rows(watched, state, candidates):
+    for row in linear_rows(watched, state):
         if row.effect in by:
             one = by[row.effect]
             values, std = (
-                dict(zip(row.effect.free, map(float, part), strict=True)) for part in (one.fit.theta, one.fit.std)
+                dict(zip(row.effect.free, map(float, part), strict=True))
+                for part in (one.fit.theta, one.fit.std)
             )
             rows.append(MonitorRow(row.effect, values, std, math.nan, float(one.gain), True))
-        else:  # not above those that were fitted
-            rows.append(replace(row, log_likelihood=min(row.log_likelihood, worst)))
+        else:  # as if it explained nothing
+            rows.append(replace(row, log_likelihood=min(0.0, worst)))
     return rows
 
 
 def likely_change(watched: Watched, state: State) -> int:
     """Sample at which the likelihood of a change of one column is largest, the start of a block."""
-    kept = min(state.count, BLOCKS)
-    N, V = (np.cumsum(part[::-1], axis=0)[::-1] for part in state.sums[:, -kept:])
+    kept = min(state.blocks, BLOCKS)
+    N, V = np.cumsum(state.sums[-kept:][::-1], axis=0)[::-1].transpose(1, 0, 2)
     wide = np.where(V > 1e-200, V, np.inf) * np.maximum(state.scatter.min(axis=0), 1.0)
     block = int(np.argmax((N**2 / wide).max(axis=1)))
-    return (state.count - kept + block) * watched.block
+    return (state.blocks - kept + block) * watched.block
 
 
 # ------------------------------------------------------------------------ adequacy
@@ -632,7 +607,7 @@ class Adequacy(Row):
         return textwrap.fill(self.sentence, 80)
 
 
-def adequacy_of(watched: Watched, state: State, candidates: Sequence[Effect], block: Block) -> Adequacy:
+def adequacy_of(watched: Watched, state: State, block: Block) -> Adequacy:
     """Judge the healthy model by the samples that were learned from.
 
     Parameters
@@ -641,8 +616,6 @@ def adequacy_of(watched: Watched, state: State, candidates: Sequence[Effect], bl
         Healthy model.
     state : State
         After these samples.
-    candidates : sequence of Effect
-        What may be missing.
     block : Block
         The samples.
     """
@@ -659,12 +632,11 @@ def adequacy_of(watched: Watched, state: State, candidates: Sequence[Effect], bl
     # white innovations of a free run ask for nothing; otherwise each candidate says what it would explain
     missing, score = None, 0.0
     if any(h.orders) or h.gain.any() or h.law[:, 1:].any():
-        fits = Fits(watched, state)
-        simple = [e for e in candidates if len(e.free) == 1] or list(candidates)
-        contest = Contest(fits, False, dict.fromkeys(simple, fits.oldest))
-        contest.screened()
-        score = math.sqrt(2 * max(contest.best(contest.top).gain, 0.0))
-        missing = contest.top if score >= watched.levels[-1, 0] else None
+        fits = Fits(watched, state, True)
+        fits.since = dict.fromkeys(_simple(watched), fits.oldest)
+        fits.screened()
+        score = math.sqrt(2 * max(fits.top.gain, 0.0))
+        missing = fits.top.effect if score >= watched.levels[-1, 0] else None
     return judged(_explained(watched, block), moved, missing, score, tolerance, watched.base.dt)
 
 
@@ -720,9 +692,9 @@ def _explained(watched: Watched, block: Block) -> tuple[tuple[float, ...], tuple
 # ------------------------------------------------------------------------ course of a case
 def rung(watched: Watched, state: State) -> Case:
     """A change whose threshold was crossed with the last block."""
-    n = state.count * watched.block
+    n = state.blocks * watched.block
     square = statistics(watched, state)
-    m, k = np.unravel_index(int(np.argmax(square / watched.levels**2)), square.shape)
+    m, k = np.unravel_index(int(np.argmax(square / watched.squares)), square.shape)
     first = next_look(0, watched.period, n)
     return Case(
         n - 1, float(np.sqrt(square[m, k])), float(watched.levels[m, k]), n + first,
@@ -730,9 +702,7 @@ def rung(watched: Watched, state: State) -> Case:
     )  # fmt: skip
 
 
-def attend(
-    watched: Watched, state: State, case: Case, candidates: Sequence[Effect]
-) -> tuple[State, Case | None, Alarm | None]:
+def attend(watched: Watched, state: State, case: Case) -> tuple[State, Case | None, Alarm | None]:
     """Do what is due with a change: name it, follow its size, or end it.
 
     Returns
@@ -744,9 +714,9 @@ def attend(
     ended : Alarm or None
         The alarm that has ended.
     """
-    n, T = state.count * watched.block, watched.period
+    n, T = state.blocks * watched.block, watched.period
     if n >= case.look:
-        case = _looked(watched, state, case, candidates)
+        case = _looked(watched, state, case)
     if n < case.follow:
         return state, case, None
     case = replace(case, follow=n + _AGAIN * T)
@@ -754,42 +724,41 @@ def attend(
     if case.alarm is None or start < case.since:
         return state, case, None
     # the named effect in the last periods alone: it may grow, or be gone
-    effect, before = case.alarm.effect, np.array(list(case.alarm.coefficients.values()))
-    fits = Fits(watched, state, {effect: before})
+    alarm, before = case.alarm, np.array(list(case.alarm.coefficients.values()))
+    fits = Fits(watched, state, False, {alarm.effect: before})
     start = max(start, fits.oldest)
-    fit, plain = fits.fit(effect, start, False), fits.fit(None, start, False)
+    fit, plain = fits.fit(alarm.effect, start), fits.fit(None, start)
     if not math.isfinite(fit.cost) or not np.isfinite(fit.std[0]):
         return state, case, None
     case = replace(case, value=float(fit.theta[0]), std=float(fit.std[0]))
     if not is_gone(case.value, case.std, float(before[0]), fit.cost, plain.cost, plain.points):
         return state, case, None
-    alarm = replace(case.alarm, ended=n * watched.base.dt)
+    alarm = replace(alarm, ended=n * watched.base.dt)
     alarm = replace(alarm, sentence=_sentence(alarm, watched.base.structure.model))
     state = restarted(state, plain.last)
     nothing = {part: np.zeros_like(getattr(state, part)) for part in ("N", "V", "shared", "sums", "S")}
     return state._replace(**nothing), None, alarm
 
 
-def _looked(watched: Watched, state: State, case: Case, candidates: Sequence[Effect]) -> Case:
-    """Rank the candidates; raise the alarm where a place is clear twice in a row, or patience is at its end."""
-    n, T, dt = state.count * watched.block, watched.period, watched.base.dt
+def _looked(watched: Watched, state: State, case: Case) -> Case:
+    """Rank the candidates; ring where a place is clear twice in a row, or patience is at its end."""
+    n, T, dt = state.blocks * watched.block, watched.period, watched.base.dt
     age, place = n - 1 - case.crossed, case.place
-    case = name(watched, state, case, candidates)
+    case = name(watched, state, case)
     look = next_look(age, T, 24 * T)
-    if case.alarm is None and age < PATIENCE * T:
-        look = min(look, PATIENCE * T)
     case = replace(case, look=case.crossed + 1 + look)
     if not case.rows:
         return case
     case = replace(case, place=clear_place(case.rows, case.misfit))
     if case.alarm is None and not (case.place and case.place == place) and age < PATIENCE * T:
         return case
+    case = replace(case, look=max(case.look, case.crossed + 1 + min(2 * age, age + 24 * T)))
     row, alike = simplest(case.rows)
     first = next(iter(row.coefficients))
     sample = n - 1 if case.alarm is None else case.alarm.sample
     alarm = Alarm(
-        sample, sample * dt, case.crossed * dt, case.since, case.since * dt, row.effect, row.coefficients, row.std,
-        row.probability, case.statistic, case.threshold, watched.false_alarms, None, "",
+        sample, sample * dt, case.crossed * dt, case.since, case.since * dt, row.effect, row.coefficients,
+        row.std, row.probability, case.statistic, case.threshold, watched.false_alarms, None, "",
     )  # fmt: skip
     others = tuple(other.effect.kind for other in alike if other is not row)
     none = 0.0 if case.none == -math.inf else 1.0 - sum(one.probability for one in case.rows)

@@ -1,8 +1,8 @@
 """Score test of a stream: how far the healthy model is from the samples, block by block.
 
-The observer of the healthy model leaves innovations e. Whitened, of unit variance, they are r; the same filter
-makes s of their derivatives by the parameters of the model. A change of the plant is a change of parameters or
-of what no parameter explains: of the windowed scores sum g^i s r, or of the energy sum g^i (r^2 - 1).
+The observer of the healthy model leaves innovations e. Whitened, of unit variance, they are r; the same
+filter makes s of the derivatives of the outputs by the parameters of the model. A change of a parameter is
+seen by the windowed scores sum g^i s r; what no parameter explains is seen by the energy sum g^i (r^2 - 1).
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 
 from ..data.measurement import Measurement
+from ..effects.channels import OutputOffset
 from ..effects.compiled import raise_pending
 from ..effects.effect import Effect
-from ..effects.channels import OutputOffset
 from ..engine.inputs import InputSignal
 from ..engine.linear import Corrections
 from ..engine.march import Discretized, MarchResult, MarchState, march
@@ -34,7 +34,7 @@ from ..inference.parameters import nominal_size
 from ..inference.whitening import Whitener, innovations
 from ..models.library import effect_library
 from ..systems.linear import Array
-from .block import Stretch, fit_block
+from .block import Stretch, Whitening, fit_block
 from .samples import Block, Flags
 
 BLOCKS = 256  # blocks that are kept: 32 periods or more
@@ -233,11 +233,8 @@ def numbers_of(base: Base) -> Numbers:
     P[range(own, p), range(own, p)] = np.square([size for _, size in loose])
     shaping = np.array([q.name in whole.effects[q.effect].spec.shaping for q in whole.parameters], dtype=bool)
     free = np.flatnonzero(~shaping & np.isfinite(P).all(axis=0) & (np.diag(P) > 0))
-    size = np.sqrt(np.diag(P)[free])
-    values, vectors = np.linalg.eigh(P[np.ix_(free, free)] / np.outer(size, size))
-    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 1e-6))
     theta = np.concatenate([base.theta, np.zeros(p - own)])
-    return Numbers(whole, theta, free, root, np.flatnonzero(~shaping))
+    return Numbers(whole, theta, free, _root_of(P[np.ix_(free, free)], 1e-6), np.flatnonzero(~shaping))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -316,6 +313,8 @@ class Watched:
         Its parameters as coefficients.
     healthy : Healthy
         What the learning phase found.
+    candidates : tuple of Effect
+        What may come.
     period : int
         Samples in a period of the first mode.
     false_alarms : float
@@ -327,6 +326,7 @@ class Watched:
     base: Base
     numbers: Numbers
     healthy: Healthy
+    candidates: tuple[Effect, ...]
     period: int
     false_alarms: float
     learn: int
@@ -360,6 +360,20 @@ class Watched:
         levels[:, -1] = self.healthy.energy
         levels[1 / (1 - self.keep) > _ENERGY * self.period, -1] = np.inf
         return levels
+
+    @cached_property
+    def seen_in(self) -> NDArray[np.intp]:
+        """Column of the scores in which each candidate is seen; -1 is the energy."""
+        s, columns = self.numbers.structure, self.numbers.columns
+        effects = [s.effects[s.parameters[i].effect] for i in columns]
+        places = {(effect.kind, effect.place): k for k, effect in enumerate(effects)}
+        found = [places.get((e.kind, e.place), -1) if len(e.free) == 1 else -1 for e in self.candidates]
+        return np.array(found, dtype=np.intp)
+
+    @cached_property
+    def squares(self) -> Array:
+        """Squares of the thresholds, (M, k)."""
+        return np.asarray(self.levels**2)
 
     @cached_property
     def fade(self) -> tuple[Array, Array]:
@@ -411,36 +425,10 @@ def transition(structure: Structure, theta: Array, dt: float) -> tuple[Array, Ar
     return Phi, structure.matrices(theta).C.astype(float)
 
 
-class Whitening(NamedTuple):
-    """Whitening of a stretch with gaps.
-
-    Attributes
-    ----------
-    whitener : Whitener
-        Filters.
-    use : ndarray of bool, shape (n_y, N)
-        Which outputs count.
-    scale : ndarray, shape (n_y, N)
-        By how much the noise is larger at each sample.
-    """
-
-    whitener: Whitener
-    use: NDArray[np.bool_]
-    scale: Array
-
-    def __call__(self, errors: Array) -> Array:
-        """Rows of unit variance, of samples with a whole past."""
-        rows = []
-        for i, (a, size) in enumerate(zip(self.whitener.filters, self.whitener.scales, strict=True)):
-            q, shape = a.size - 1, (-1, *[1] * (errors.ndim - 2))
-            judged = sliding_window_view(self.use[i], q + 1).all(axis=1) if self.use.shape[1] > q else [False]
-            white = innovations(a, np.where(self.use[i].reshape(shape), errors[i], 0.0))[q:]
-            rows.append((white / (size * self.scale[i, q:].reshape(shape)))[np.asarray(judged)])
-        return np.concatenate(rows)
-
-
 # ------------------------------------------------------------------------ learning
-def learn(base: Base, period: int, false_alarms: float, block: Block) -> Watched:
+def learn(
+    base: Base, candidates: tuple[Effect, ...], period: int, false_alarms: float, block: Block
+) -> Watched:
     """Find parameters within their tolerance, offsets, observer and noise of healthy samples.
 
     Raises
@@ -489,7 +477,7 @@ def learn(base: Base, period: int, false_alarms: float, block: Block) -> Watched
         theta, wide, found.gain, found.ratio, fit.x0, filters, whitener.scales, found.law, found.middle,
         found.power, max(float(power.std()), _TINY), energy, settle,
     )  # fmt: skip
-    return Watched(base, numbers, healthy, period, false_alarms, len(block.inputs))
+    return Watched(base, numbers, healthy, candidates, period, false_alarms, len(block.inputs))
 
 
 def _substeps(base: Base, numbers: Numbers) -> int:
@@ -508,11 +496,11 @@ def _with_offsets(
     return numbers.theta[loose], root
 
 
-def _root_of(P: Array) -> Array:
+def _root_of(P: Array, least: float = 0.0) -> Array:
     """Return a root of a covariance by that of its correlation: units may differ by decades."""
     size = np.sqrt(np.maximum(np.diag(P), _TINY))
     values, vectors = np.linalg.eigh(P / np.outer(size, size))
-    return size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, least)))
 
 
 def _check_outputs(block: Block, labels: Any) -> None:
@@ -568,10 +556,14 @@ def _likeliest_observer(
     """Return the observer of the smallest gain that the likelihood does not clearly reject."""
     best: _Observer | None = None
     ratios = [ratio for ratio in RATIOS if ratio <= max(most, RATIOS[1])]
-    for ratio in ratios:
-        found = _evaluate(base, numbers, theta, data, use, period, ratio)
-        if found is not None and (best is None or found.score < best.score - _WORTH):
-            best = found
+    for near in (2.0, math.sqrt(2.0), 1.0):  # a coarse grid, then finer ones around its best
+        for ratio in ratios:
+            found = _evaluate(base, numbers, theta, data, use, period, ratio)
+            if found is not None and (best is None or found.score < best.score - _WORTH):
+                best = found
+        if best is None or not best.ratio:
+            break
+        ratios = [best.ratio / near, best.ratio * near]
     if best is None:
         raise DataError(
             "no observer of the healthy model follows the learning phase; check model, units and channels "
@@ -647,7 +639,7 @@ def noise_law(white: Array, sizes: Array) -> Array:
     [1. 4. 0.]
     """
     mean = max(float(np.mean(white**2)), _TINY)
-    tried = []
+    best, found = math.inf, np.zeros(3)
     for used in (1, 2, 3):
         law = np.array([mean, 0.0, 0.0])
         for _ in range(5):  # reweighted nonnegative least squares
@@ -659,9 +651,9 @@ def noise_law(white: Array, sizes: Array) -> Array:
             law[0] = max(law[0], 1e-2 * mean)  # a signal that rests tells nothing of the noise there
         variance = relative_variance(law[None], sizes[:, 1:2], sizes[:, 2:])[:, 0]
         cost = 0.5 * float(np.sum(np.log(variance) + np.minimum(white**2 / variance, CLIP**2)))
-        if not tried or cost < tried[0] - _WORTH:
-            tried = [cost, law]
-    return np.asarray(tried[1])
+        if cost < best - _WORTH:
+            best, found = cost, law
+    return found
 
 
 # ------------------------------------------------------------------------ the state
@@ -670,16 +662,14 @@ class State(NamedTuple):
 
     Attributes
     ----------
-    count : int
-        Blocks taken.
+    blocks : int
+        Number of blocks taken.
     x, z, S : ndarray, shape (n,), (m,), (p, n)
         State of the observer, inner states of laws, derivatives of the state.
     before : ndarray, shape (lag, n_w)
         Last inputs.
     past : ndarray, shape (q + 1, n_y, 1 + p)
         Memory of the whitening filters.
-    held : ndarray, shape (n_y,)
-        Last innovations that were measured.
     used : ndarray, shape (q, n_y)
         Whether the last outputs were.
     doubt : ndarray, shape (n, n)
@@ -690,19 +680,18 @@ class State(NamedTuple):
         Mean square of the predictions over a period; variance of the noise over the learned one.
     N, V, shared, scatter : ndarray, shape (M, k), (M, k), (M, k, f), (M, k)
         Scores, their variances, products with the uncertain parameters, mean squares of statistics.
-    sums : ndarray, shape (2, R, k)
+    sums : ndarray, shape (R, 2, k)
         Scores and variances of the last blocks.
     ring_w, ring_y, ring_use, ring_scale, ring_x : ndarray, shape (R, B, .), the last (R, n)
         Samples of these blocks, whether they count (2: set aside), their noise; state before them.
     """
 
-    count: int
+    blocks: int
     x: Array
     z: Array
     S: Array
     before: Array
     past: Array
-    held: Array
     used: Flags
     doubt: Array
     lost: int
@@ -728,15 +717,15 @@ def begin(watched: Watched) -> State:
     flags = np.uint8
     return State(
         0, h.x0.copy(), np.zeros(s.n_ports + ny * s.remembers), np.zeros((p, n)), np.zeros((0, nw)),
-        np.zeros((q, ny, 1 + p)), np.zeros(ny), np.ones((q - 1, ny), flags), np.zeros((n, n)), -1,
+        np.zeros((q, ny, 1 + p)), np.zeros((q - 1, ny), flags), np.zeros((n, n)), -1,
         h.power.copy(), np.ones(ny), np.zeros((M, k)), np.zeros((M, k)), np.zeros((M, k, h.root.shape[1])),
-        np.ones((M, k)), np.zeros((2, BLOCKS, k)), np.zeros((BLOCKS, B, nw)), np.zeros((BLOCKS, B, ny)),
+        np.ones((M, k)), np.zeros((BLOCKS, 2, k)), np.zeros((BLOCKS, B, nw)), np.zeros((BLOCKS, B, ny)),
         np.zeros((BLOCKS, B, ny), flags), np.ones((BLOCKS, B, ny)), np.zeros((BLOCKS, n)),
     )  # fmt: skip
 
 
 def _observe(watched: Watched, state: State, block: Block) -> tuple[Array, Array, State]:
-    """Advance the observer: predicted outputs (B, n_y), their derivatives (B, n_y, p), and the state after."""
+    """Advance the observer; return outputs (B, n_y), their derivatives (B, n_y, p), and the state."""
     s, b, K = watched.numbers.structure, watched.base, len(state.before)
     # the input before the block begins its first step, those before that a delay brings in
     rows, first = np.concatenate([state.before, block.inputs]), max(K - 1, 0)
@@ -765,28 +754,26 @@ def _observe(watched: Watched, state: State, block: Block) -> tuple[Array, Array
     if blew_up >= 0:
         raise DivergenceError(
             "the observer of the healthy model left all bounds at sample "
-            f"{state.count * watched.block + blew_up - lead}; check the model and the units of the samples"
+            f"{state.blocks * watched.block + blew_up - lead}; check the model and the units of the samples"
         )
     after = state._replace(x=x, z=z, S=S, before=rows[-watched.lag :].copy())
     return into.outputs[lead:], into.sensitivity[lead:], after
 
 
-def _whitened(watched: Watched, state: State, e: Array, use: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+def _whitened(watched: Watched, state: State, e: Array, use: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Whiten innovations (B, n_y, 1 + p), a slow mean taken off.
 
-    The memory of the filters and the last measured innovations follow.
+    The memory of the filters follows.
     """
     h, fading = watched.healthy, 1 / (_SLOW * watched.period)
-    white, past, held = e.copy(), state.past.copy(), state.held.copy()
+    white, past = np.zeros_like(e), state.past.copy()
     for i, a in enumerate(h.filters):
-        for k in np.flatnonzero(~use[:, i]):  # over a gap the last one is held
-            white[k, i, 0] = white[k - 1, i, 0] if k else held[i]
-        held[i] = white[-1, i, 0]
         # (1 - z^-1) / (1 - (1 - f) z^-1) takes the mean of 1 / f samples off, a(z) whitens
-        b = np.convolve(a, [1.0, -1.0]) / h.scales[i]
+        b, there = np.convolve(a, [1.0, -1.0]) / h.scales[i], use[:, i]
         denominator = np.r_[1.0, fading - 1.0, np.zeros(b.size - 2)]
-        white[:, i], past[:, i] = lfilter(b, denominator, white[:, i], axis=0, zi=past[:, i])
-    return white, past, held
+        # over a gap the filter rests: the mean goes on behind it
+        white[there, i], past[:, i] = lfilter(b, denominator, e[there, i], axis=0, zi=past[:, i])
+    return white, past
 
 
 def _calm(watched: Watched, state: State, block: Block) -> tuple[NDArray[np.bool_], Array, int]:
@@ -796,12 +783,14 @@ def _calm(watched: Watched, state: State, block: Block) -> tuple[NDArray[np.bool
     noise that K would bring in, and with what K would have taken off.
     """
     h, use, q = watched.healthy, block.use, len(state.used)
+    calm, there = use > 0, bool(use.all() and block.known.all())
+    if there and state.lost < 0 and state.used.all() and not state.doubt.any():
+        return calm, state.doubt, -1
     past = np.concatenate([state.used, use])
-    calm = use > 0
     for i, order in enumerate(h.orders):  # the filters need a whole past
         calm[:, i] &= sliding_window_view(past[q - order :, i] > 0, order + 1).all(axis=1)
-    D, lost, first = state.doubt, state.lost, state.count * watched.block
-    if not use.all() or not block.known.all() or D.any() or lost >= 0:
+    D, lost, first = state.doubt, state.lost, state.blocks * watched.block
+    if not there or D.any() or lost >= 0:
         Phi, C = watched.error_steps
         noise = h.scales**2 * state.level
         whole = np.eye(len(Phi))
@@ -845,9 +834,9 @@ def advance(watched: Watched, state: State, block: Block, healthy: bool) -> tupl
     for count in range(_ALONE + 2):
         outputs, S, after = _observe(watched, state, block._replace(use=(use == 1).astype(np.uint8)))
         e = np.concatenate([(block.outputs - outputs)[:, :, None], S], axis=2)
-        white, past, held = _whitened(watched, state, e, use == 1)
-        local = lfilter([1 / watched.period], [1.0, 1 / watched.period - 1], (outputs - h.middle) ** 2, axis=0,
-                        zi=(1 - 1 / watched.period) * state.power[None])[0]  # fmt: skip
+        white, past = _whitened(watched, state, e, use == 1)
+        square, slow = (outputs - h.middle) ** 2, 1 / watched.period
+        local, _ = lfilter([slow], [1.0, slow - 1], square, axis=0, zi=(1 - slow) * state.power[None])
         scale = h.scale(outputs, local)
         r = white[:, :, 0] / (scale * np.sqrt(state.level))
         out = (np.abs(r) > _OUTLIER) & (use == 1)
@@ -868,28 +857,28 @@ def advance(watched: Watched, state: State, block: Block, healthy: bool) -> tupl
     shared = fade[:, :, None] * state.shared + np.tensordot(watched.fade[0], scores.shared, 1)
     last = np.concatenate([state.used, (use == 1).astype(np.uint8)])[len(use) :]
     after = after._replace(
-        count=state.count + 1, past=past, held=held, used=last,
+        blocks=state.blocks + 1, past=past, used=last,
         doubt=doubt, lost=lost, power=local[-1], N=N, V=V, shared=shared,
-        sums=_pushed(state.sums, np.array([scores.score.sum(axis=0), scores.info.sum(axis=0)]), axis=1),
+        sums=_pushed(state.sums, np.array([scores.score.sum(axis=0), scores.info.sum(axis=0)])),
         ring_w=_pushed(state.ring_w, block.inputs), ring_y=_pushed(state.ring_y, block.outputs),
-        ring_use=_pushed(state.ring_use, use), ring_scale=_pushed(state.ring_scale, scale * np.sqrt(state.level)),
-        ring_x=_pushed(state.ring_x, state.x),
+        ring_use=_pushed(state.ring_use, use), ring_x=_pushed(state.ring_x, state.x),
+        ring_scale=_pushed(state.ring_scale, scale * np.sqrt(state.level)),
     )  # fmt: skip
     square = statistics(watched, after)
-    ratio = float(np.sqrt((square / watched.levels**2).max(initial=0.0)))
+    ratio = float(np.sqrt((square / watched.squares).max(initial=0.0)))
     if not math.isfinite(ratio):
         raise DivergenceError(
-            f"the statistic at sample {state.count * B} is not a number; check the samples before it, then reset()"
+            f"the statistic at sample {state.blocks * B} is not a number; check the samples before it, then "
+            "reset()"
         )
     if healthy and ratio <= 1.0:
         after = _followed(watched, after, scores.power, calm, square)
     return after, ratio
 
 
-def _pushed(ring: Array, new: Array, axis: int = 0) -> Array:
+def _pushed(ring: Any, new: Any) -> Any:
     """Return a ring with a new entry behind, without its first one."""
-    rest = ring[1:] if axis == 0 else ring[:, 1:]
-    return np.concatenate([rest, np.expand_dims(new, axis)], axis=axis)
+    return np.concatenate([ring[1:], new[None]])
 
 
 class _Scores(NamedTuple):
@@ -909,30 +898,32 @@ def _scores(watched: Watched, white: Array, calm: NDArray[np.bool_]) -> _Scores:
     doubt = s @ h.root
     # the uncertain parameters widen the innovations: only what exceeds that is energy
     power = np.minimum(white[:, :, 0] ** 2 / (1 + np.sum(doubt**2, axis=2)), CLIP**2)
-    energy = (calm * (power - MEAN_SQUARE)).sum(axis=1, keepdims=True) / h.spread
+    energy = (calm * (power - MEAN_SQUARE)).sum(axis=1) / h.spread
     seen = s[:, :, watched.numbers.columns]
-    score = np.hstack([np.einsum("bi,bik->bk", r, seen), energy])
-    info = np.hstack([np.einsum("bik,bik->bk", seen, seen), calm.sum(axis=1, keepdims=True).astype(float)])
-    shared = np.einsum("bik,bif->bkf", seen, doubt)
-    return _Scores(score, info, np.pad(shared, ((0, 0), (0, 1), (0, 0))), power)
+    B, k = len(r), seen.shape[2] + 1  # the last column is the energy
+    score, info, shared = np.empty((B, k)), np.empty((B, k)), np.zeros((B, k, doubt.shape[2]))
+    score[:, :-1], score[:, -1] = np.einsum("bi,bik->bk", r, seen), energy
+    info[:, :-1], info[:, -1] = np.einsum("bik,bik->bk", seen, seen), calm.sum(axis=1)
+    shared[:, :-1] = np.matmul(seen.transpose(0, 2, 1), doubt)
+    return _Scores(score, info, shared, power)
 
 
 def variances(watched: Watched, state: State) -> Array:
     """Return the variance of the scores by chance, (M, k); inf where nothing is seen."""
     wide = state.V + np.sum(state.shared**2, axis=2)
     # the level of the noise is known from so many samples: it moves all squares of a window alike
-    n, g = state.count * watched.block, watched.keep
-    weight = (1 - g**n) / (1 - g)
-    ny = watched.healthy.middle.size
-    wide[:, -1] += ny * weight**2 / min(watched.learn, 2 * _MEMORY)
+    weight = watched.healthy.middle.size / (1 - watched.keep) ** 2
+    wide[:, -1] += weight / min(watched.learn, 2 * _MEMORY)
     wide = wide * np.maximum(state.scatter, 1.0)
     return np.where(wide <= 1e-200, np.inf, wide)
 
 
 def statistics(watched: Watched, state: State) -> Array:
     """Return the squared statistics, (M, k). Less energy than usual is no change."""
-    N = state.N.copy()
-    N[:, -1] = np.maximum(N[:, -1], 0.0)
+    N, energy = state.N.copy(), state.N[:, -1]
+    # its level is that of a full window
+    full = state.V[:, -1] > 0.5 * watched.healthy.middle.size / (1 - watched.keep**2)
+    N[:, -1] = np.where(full, np.maximum(energy, 0.0), 0.0)
     return N**2 / variances(watched, state)
 
 
@@ -955,10 +946,10 @@ def found_anew(watched: Watched, state: State) -> State:
     """
     h, B = watched.healthy, watched.block
     wait = max(min(h.settle, 8 * watched.period), 4 * (h.x0.size + len(state.past)))
-    if state.lost < 0 or state.count * B < state.lost + wait:
+    if state.lost < 0 or state.blocks * B < state.lost + wait:
         return state
     first = state.lost // B + 1
-    blocks = min(state.count - first, BLOCKS)
+    blocks = min(state.blocks - first, BLOCKS)
     part = recent(state, blocks)
     stretch = watched.stretch(
         part, state.ring_x[-blocks], state.ring_scale[-blocks:].reshape(len(part.use), -1), known_start=False
@@ -976,15 +967,12 @@ def found_anew(watched: Watched, state: State) -> State:
 
 def restarted(state: State, x: Array) -> State:
     """Go on from another state: the filters need a new past."""
-    return state._replace(
-        x=x, past=np.zeros_like(state.past), held=np.zeros_like(state.held), used=np.zeros_like(state.used)
-    )
+    return state._replace(x=x, past=np.zeros_like(state.past), used=np.zeros_like(state.used))
 
 
 def recent(state: State, blocks: int) -> Block:
     """Samples of the last blocks, those that were set aside included where they turned out to be many."""
-    w, y, use = (
-        ring[-blocks:].reshape(-1, ring.shape[2]) for ring in (state.ring_w, state.ring_y, state.ring_use)
-    )
+    rings: tuple[Any, ...] = state.ring_w, state.ring_y, state.ring_use
+    w, y, use = (ring[-blocks:].reshape(-1, ring.shape[2]) for ring in rings)
     there = (use == 1) | ((use == 2) & ((use == 2).sum() > _ALONE))
     return Block(w, y, np.ones(len(w), dtype=np.uint8), there.astype(np.uint8))
