@@ -307,6 +307,13 @@ def standing(watched: Watched, state: State) -> tuple[float, Array]:
 
 def linear_rows(watched: Watched, state: State) -> tuple[MonitorRow, ...]:
     """Ranking by the scores alone, while no alarm is on."""
+    rows = _linear(watched, state)
+    gains = np.array([row.log_likelihood for row in rows])
+    return ranked(rows, shares(float(gains.max()), gains)[1:])
+
+
+def _linear(watched: Watched, state: State) -> list[MonitorRow]:
+    """Estimate of each candidate by the scores, in their order."""
     _, gains = standing(watched, state)
     square, wide, level = statistics(watched, state), variances(watched, state), watched.squares
     rows = []
@@ -321,13 +328,13 @@ def linear_rows(watched: Watched, state: State) -> tuple[MonitorRow, ...]:
         rows.append(
             MonitorRow(effect, {name: float(value)}, {name: float(std)}, math.nan, float(gain), False)
         )
-    return ranked(rows, shares(float(gains.max()), gains)[1:])
+    return rows
 
 
 def ranked(rows: Iterable[MonitorRow], probabilities: Array) -> tuple[MonitorRow, ...]:
-    """Rows with these probabilities, the most probable first."""
+    """Rows with these probabilities, the most probable first; of equal ones the first candidate."""
     shared = [replace(row, probability=float(p)) for row, p in zip(rows, probabilities, strict=True)]
-    return tuple(sorted(shared, key=lambda row: (-row.probability, -row.log_likelihood)))
+    return tuple(sorted(shared, key=lambda row: -round(row.probability, 6)))
 
 
 def history_row(watched: Watched, state: State, case: Case | None) -> Array:
@@ -502,11 +509,13 @@ def name(watched: Watched, state: State, case: Case) -> Case:
     }
     settle = n - 1 - case.crossed <= _SETTLE * T or not before
     fits = Fits(watched, state, True, dict(before))
-    first = max(n - _FOLLOW * T, fits.oldest)
+    first, near = max(n - _FOLLOW * T, fits.oldest), False
     # filters need a past: the change began before the crossing, and some samples ago
     latest = max(min(case.crossed, n - 2 * len(state.past) - 8), fits.oldest)
     if settle:
-        first = case.since if before else likely_change(watched, state)
+        # the sample of the change that left noise only is near the right one
+        near = case.misfit < levels().alarm_left
+        first = case.since if near else likely_change(watched, state)
         first = int(np.clip(first, fits.oldest, latest))
     elif case.since >= first:
         first = case.since
@@ -515,7 +524,7 @@ def name(watched: Watched, state: State, case: Case) -> Case:
     leaders = fits.screened()
     for again in (True, False):
         if settle:
-            fits.move(leaders, B // 2 if before else 2 * B, latest)
+            fits.move(leaders, B // 2 if near else 2 * B, latest)
         top = fits.top
         others = [e for e in watched.candidates if e.place in {one.place for one in leaders}]
         reached = top.fit.cost < chi2.isf(_LEFT, max(top.fit.points, 1)) and top.gain > 0
@@ -547,7 +556,7 @@ def ranked_fits(watched: Watched, state: State, fair: Sequence[Trial]) -> list[M
     """Row of each candidate: its fit, or the linear estimate of one that was not worth it."""
     by, worst = {one.effect: one for one in fair}, min(one.gain for one in fair)
     rows = []
-    for row in linear_rows(watched, state):
+    for row in _linear(watched, state):
         if row.effect in by:
             one = by[row.effect]
             values, std = (

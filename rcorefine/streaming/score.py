@@ -194,7 +194,7 @@ class Numbers(NamedTuple):
     root : ndarray, shape (f, f)
         Root U of their covariance U U', as given.
     columns : ndarray of int, shape (k - 1,)
-        Those whose scores are watched: all but gaps, limits and fading speeds.
+        Those whose scores are watched: all but offsets, gaps, limits and fading speeds.
     """
 
     structure: Structure
@@ -234,7 +234,9 @@ def numbers_of(base: Base) -> Numbers:
     shaping = np.array([q.name in whole.effects[q.effect].spec.shaping for q in whole.parameters], dtype=bool)
     free = np.flatnonzero(~shaping & np.isfinite(P).all(axis=0) & (np.diag(P) > 0))
     theta = np.concatenate([base.theta, np.zeros(p - own)])
-    return Numbers(whole, theta, free, _root_of(P[np.ix_(free, free)], 1e-6), np.flatnonzero(~shaping))
+    # a sensor drifts: a jump of it is seen by the energy
+    watched = ~shaping & [whole.effects[q.effect].kind != OutputOffset.name for q in whole.parameters]
+    return Numbers(whole, theta, free, _root_of(P[np.ix_(free, free)], 1e-6), np.flatnonzero(watched))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -360,6 +362,13 @@ class Watched:
         levels[:, -1] = self.healthy.energy
         levels[1 / (1 - self.keep) > _ENERGY * self.period, -1] = np.inf
         return levels
+
+    @cached_property
+    def filters(self) -> Array:
+        """Whitening polynomials with a zero for the mean, (n_y, q + 1)."""
+        # (1 - z^-1) / (1 - (1 - f) z^-1) takes the mean of 1 / f samples off, a(z) whitens
+        h = self.healthy
+        return np.array([np.convolve(a, [1.0, -1.0]) for a in h.filters]) / h.scales[:, None]
 
     @cached_property
     def seen_in(self) -> NDArray[np.intp]:
@@ -732,11 +741,11 @@ def _observe(watched: Watched, state: State, block: Block) -> tuple[Array, Array
     drive = InputSignal(np.ascontiguousarray(rows.T), b.dt, b.hold, watched.substeps).drive(
         s, watched.healthy.theta
     )
-    skip = first * watched.substeps * max(drive.course, 1)
-    drive = drive._replace(
-        W=np.ascontiguousarray(drive.W[skip:]), Wout=np.ascontiguousarray(drive.Wout[first:]),
-        dW=np.ascontiguousarray(drive.dW[:, skip:]), dWout=np.ascontiguousarray(drive.dWout[:, first:]),
-    )  # fmt: skip
+    if first:
+        skip = first * watched.substeps * max(drive.course, 1)
+        found = drive.W[skip:], drive.Wout[first:], drive.dW[:, skip:], drive.dWout[:, first:]
+        W, Wout, dW, dWout = map(np.ascontiguousarray, found)
+        drive = drive._replace(W=W, Wout=Wout, dW=dW, dWout=dWout)
     lead, N, ny = K - first, len(rows) - first, s.n_outputs
     measured, flags = np.zeros((N, ny)), np.zeros((N, ny), dtype=np.uint8)
     measured[lead:], flags[lead:] = block.outputs, block.use
@@ -765,14 +774,13 @@ def _whitened(watched: Watched, state: State, e: Array, use: NDArray[np.bool_]) 
 
     The memory of the filters follows.
     """
-    h, fading = watched.healthy, 1 / (_SLOW * watched.period)
+    fading = 1 / (_SLOW * watched.period)
     white, past = np.zeros_like(e), state.past.copy()
-    for i, a in enumerate(h.filters):
-        # (1 - z^-1) / (1 - (1 - f) z^-1) takes the mean of 1 / f samples off, a(z) whitens
-        b, there = np.convolve(a, [1.0, -1.0]) / h.scales[i], use[:, i]
-        denominator = np.r_[1.0, fading - 1.0, np.zeros(b.size - 2)]
+    for i, (numerator, there) in enumerate(zip(watched.filters, use.T, strict=True)):
         # over a gap the filter rests: the mean goes on behind it
-        white[there, i], past[:, i] = lfilter(b, denominator, e[there, i], axis=0, zi=past[:, i])
+        white[there, i], past[:, i] = lfilter(
+            numerator, [1.0, fading - 1.0], e[there, i], axis=0, zi=past[:, i]
+        )
     return white, past
 
 
