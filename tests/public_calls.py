@@ -1057,7 +1057,6 @@ CALLS: dict[str, Call] = {
                     "order",
                     "window",
                     "markov",
-                    "static_order",
                     "static_window",
                     "static_markov",
                     "static_average",

@@ -45,9 +45,9 @@ OUTER = {
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
     ".": 8148, "arguments": 2154, "commands": 8142, "comparison": 28148, "data": 25349,
-    "diagnosis": 73354, "effects": 30835, "engine": 50125, "examples": 2218, "exercises": 4771,
-    "explorer": 9112, "export": 5906, "fleet": 9919, "inference": 32734, "localization": 11722,
-    "models": 42670, "refinement": 4321, "streaming": 72924, "systems": 5887, "views": 39582,
+    "diagnosis": 73354, "effects": 30851, "engine": 50416, "examples": 2218, "exercises": 4771,
+    "explorer": 9112, "export": 5906, "fleet": 9881, "inference": 32734, "localization": 11722,
+    "models": 42670, "refinement": 4321, "streaming": 68982, "systems": 5887, "views": 39582,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.

@@ -512,3 +512,20 @@ def test_a_power_is_found_at_any_usual_motion(size, power):
     found = rco.diagnose(model, data, candidates=[rco.Effect(kind, "x") for kind in kinds])
     assert found.best.effect.kind == "power_damping"
     assert abs(found.best.coefficients["power"] - power) < 4 * found.best.std["power"]
+
+
+def test_a_law_that_cannot_be_looked_up_is_taken():
+    """An object with its own `__eq__` has no hash; its law is made anew each time."""
+
+    class Cubic:
+        __hash__ = None
+
+        def __eq__(self, other):
+            return True
+
+        def __call__(self, d, v):
+            return d**3
+
+    effect = rco.Effect("custom", "link1", law=Cubic())
+    assert effect.spec.law(2.0, 0.0) == 8.0
+    assert effect.spec.coefficient_names == ("scale",)

@@ -52,7 +52,7 @@ def in_blocks(*given):
     """The record by products over all of it."""
     at, drive, corrections, x, S, *_ = given
     into = room(given)
-    blew_up = linear.simulate_linear(at, drive, corrections, x, S, into)
+    blew_up = linear.simulate_linear(at, drive, corrections, x.copy(), S.copy(), into)
     return into.outputs, into.sensitivity, into.states, blew_up
 
 

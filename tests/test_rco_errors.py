@@ -13,8 +13,7 @@ from test_rco_refiner import DT, SETTINGS, damaged, record_of, state_of, two_by_
 
 import rcorefine as rco
 from rcorefine.streaming.history import poles_of
-from rcorefine.streaming.rcmr.kernels import Plant
-from rcorefine.streaming.rcmr.setup import explain
+from rcorefine.streaming.scales import Plant, explain
 
 N = 150
 
@@ -99,7 +98,6 @@ def test_bad_prediction(refiner: rco.RCORefiner, w: Any, message: str) -> None:
         ({"learning_rate": np.inf}, rco.ModelError, "alpha"),
         ({"learning_rate": "fast"}, ct.ControlArgument, "must be a number"),
         ({"static_learning_rate": 0}, rco.ModelError, "static_learning_rate"),
-        ({"static_order": -2}, rco.ModelError, "static_order"),
         ({"static_window": 0}, rco.ModelError, "static_window"),
         ({"static_markov": 0}, rco.ModelError, "static_markov"),
         ({"static_average": 0}, rco.ModelError, "static_average"),

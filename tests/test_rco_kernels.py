@@ -11,8 +11,7 @@ import pytest
 from inner import NUMBA
 
 from rcorefine import jit
-from rcorefine.streaming.rcmr import kernels
-from rcorefine.streaming.rcmr.setup import start
+from rcorefine.streaming import paper
 
 Array = np.ndarray
 
@@ -24,24 +23,33 @@ def step_by_least_squares(rows: Array, offsets: Array, theta: Array, alpha: floa
     return np.asarray(np.linalg.lstsq(stacked, right, rcond=None)[0])
 
 
+def begin(n_y: int, m: int, window: int, alpha: float) -> paper.Stage:
+    """A stage with one correction and the one Markov parameter 1 at every output."""
+    return paper.Stage(
+        np.ones((1, n_y, 1)), np.zeros((1, m)), np.zeros((1, m)), np.zeros((1, 1)),
+        np.zeros((window, n_y, m)), np.zeros((window, n_y)), np.eye(m) / alpha, np.zeros(0),
+        np.zeros(1, dtype=np.int64),
+    )  # fmt: skip
+
+
 def slide_through(
     rows: Array, offsets: Array, window: int, alpha: float, n_y: int = 1
 ) -> tuple[Array, Array]:
     """theta after every sample, from the kernel and in closed form; rows of shape (N, n_y, m)."""
     m = rows.shape[2]
-    design = kernels.Design(np.ones((1, n_y, 1)), 1, 0, alpha)
-    stage = start(design, m - 1, 1, window, 2)
+    stage = begin(n_y, m, window, alpha)
     ours, theirs = np.zeros((rows.shape[0], m)), np.zeros((rows.shape[0], m))
     theta = np.zeros(m)
     for k in range(rows.shape[0]):
-        new = np.zeros((n_y, stage.theta.size))
-        new[:, :m] = rows[k]
-        kernels.learn(stage, design, new, offsets[k])
+        stage.psi[0] = rows[k, 0]
+        for r in range(n_y):  # H = 1: each output has the same row; other rows by other Markov parameters
+            stage.H[0, r, 0] = 1.0 + r
+        paper._learn(stage, offsets[k], alpha, 0)
         first = max(0, k - window + 1)
-        theta = step_by_least_squares(
-            rows[first : k + 1].reshape(-1, m), offsets[first : k + 1].ravel(), theta, alpha
-        )
-        ours[k], theirs[k] = stage.theta[:m], theta
+        weights = 1.0 + np.arange(n_y)
+        Phi = (weights[None, :, None] * rows[first : k + 1, :1]).reshape(-1, m)
+        theta = step_by_least_squares(Phi, offsets[first : k + 1].ravel(), theta, alpha)
+        ours[k], theirs[k] = stage.theta[0], theta
     return ours, theirs
 
 
@@ -64,14 +72,13 @@ def test_window_slides_as_if_solved_anew(
 def test_digits_do_not_drain_over_a_long_stream(rng: np.random.Generator) -> None:
     """20 000 samples, window energy 1e6 times alpha: the textbook recursion loses 4 digits more."""
     rows, offsets = stream(rng, 20_000, 1, 8)
-    design = kernels.Design(np.ones((1, 1, 1)), 1, 0, 1e-3)
-    stage = start(design, 7, 1, 50, 2)
-    theta = np.zeros(8)
+    stage, theta = begin(1, 8, 50, 1e-3), np.zeros(8)
     for k in range(rows.shape[0]):
-        kernels.learn(stage, design, rows[k], offsets[k])
+        stage.psi[0] = rows[k, 0]
+        paper._learn(stage, offsets[k], 1e-3, 0)
         if k >= rows.shape[0] - 400:  # older steps are forgotten: theta contracts to the window's solution
             theta = step_by_least_squares(rows[k - 49 : k + 1, 0], offsets[k - 49 : k + 1, 0], theta, 1e-3)
-    np.testing.assert_allclose(stage.theta, theta, rtol=1e-9)
+    np.testing.assert_allclose(stage.theta[0], theta, rtol=1e-9)
 
 
 @pytest.mark.parametrize("size", [1e3, 1e5, 1e8])
@@ -85,12 +92,13 @@ def test_outliers_enter_and_leave(rng: np.random.Generator, size: float) -> None
     np.testing.assert_allclose(ours, theirs, atol=1e-4 * np.abs(theirs).max())
 
 
-@pytest.mark.parametrize("alpha", [1e-30, 1e-6, 1.0])
-def test_direct_step_minimizes(rng: np.random.Generator, alpha: float) -> None:
-    rows, residual = rng.standard_normal((40, 12)), rng.standard_normal(40)
-    step = kernels.direct_step(rows, residual, alpha)
-    expected = step_by_least_squares(rows, residual, np.zeros(12), alpha)
-    np.testing.assert_allclose(step, expected, rtol=1e-10, atol=1e-13)
+@pytest.mark.parametrize("alpha", [1e-30, 1e-9])
+def test_a_window_without_digits_in_its_squares_is_solved_directly(
+    rng: np.random.Generator, alpha: float
+) -> None:
+    rows, offsets = stream(rng, 60, 1, 12)
+    ours, theirs = slide_through(1e3 * rows, offsets, 40, alpha)
+    np.testing.assert_allclose(ours[20:], theirs[20:], rtol=1e-8, atol=1e-10)
 
 
 @pytest.mark.numba

@@ -145,18 +145,6 @@ def test_the_parameter_stage_alone_is_the_literal_stage_of_order_zero() -> None:
     assert not h.theta1.any()
 
 
-def test_static_stage_with_memory_equals_the_literal_one() -> None:
-    model = plant(1, 1)
-    w, y = record(model, seed=4, n_samples=400)
-    first, _ = oracle(model, w, y, 1)
-    second = literal(
-        model, w, y, 1, 2, SETTINGS["window"], 1, SETTINGS["static_learning_rate"], states=first.x
-    )
-    refiner = refiner_of(model, static_order=2)
-    refiner.update(w, y)
-    assert worst(refiner.history.theta2, np.moveaxis(second.theta[1:], 0, -1)) < 1e-8
-
-
 def test_without_numba_too() -> None:
     """The same comparison in a process where the kernels run as plain Python."""
     code = (

@@ -354,42 +354,6 @@ def test_predict_before_learning_is_the_initial_model() -> None:
     np.testing.assert_allclose(refiner.predict(record.inputs[0, 20:]), expected[20:], rtol=1e-9, atol=1e-12)
 
 
-def test_static_stage_with_memory_predicts_what_it_learned() -> None:
-    """With n_c > 0 the model has the lags as states: the next prediction equals the kernel's own."""
-    example = rco.examples.two_dof()
-    record = example.record(1500)
-    settings = {**example.settings, "static_order": 2, "static_learning_rate": 10.0}
-    refiner = rco.RCORefiner(example.initial, dt=example.dt, history=True, **settings)
-    refiner.update(record.inputs[:, :1000], record.outputs[:, :1000])
-    assert refiner.discrete_system.nstates == 4 + 2 * (4 + 1 + 1)
-    predicted = refiner.predict(record.inputs[:, 1000:1002])
-    theta = refiner.static_theta
-    h = refiner.history
-    refiner.update(record.inputs[:, 1000:1001], record.outputs[:, 1000:1001])
-    x = refiner.history.x
-    psi = np.concatenate([x[:, 1000], x[:, 999], x[:, 998], record.inputs[0, [1000, 999, 998]]])
-    past_u = [past_correction(refiner, record, k) for k in (999, 998)]
-    u = float((theta @ np.concatenate([psi, past_u]))[0])
-    discrete = example.initial.sample(example.dt)
-    following = discrete.A @ x[:, 1000] + discrete.B @ record.inputs[:, 1000] + discrete.B[:, 0] * u
-    assert predicted[1] == pytest.approx(float((discrete.C @ following)[0]), rel=1e-9)
-    assert h.n_samples == 1000
-
-
-def past_correction(refiner: rco.RCORefiner, record: rco.Measurement, k: int) -> float:
-    """u2(k) of the history, by (27) from the start."""
-    h = refiner.history
-    u = np.zeros(k + 1)
-    for i in range(k + 1):
-        lags = [i - j for j in range(3)]
-        x = np.concatenate([h.x[:, j] if j >= 0 else np.zeros(4) for j in lags])
-        w = np.array([record.inputs[0, j] if j >= 0 else 0.0 for j in lags])
-        past = np.array([u[j] if j >= 0 else 0.0 for j in lags[1:]])
-        theta = h.theta2[:, :, i - 1] if i > 0 else np.zeros_like(h.theta2[:, :, 0])
-        u[i] = float((theta @ np.concatenate([x, w, past]))[0])
-    return float(u[k])
-
-
 # -- what is shown ---------------------------------------------------------------------------------
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import lru_cache
 from keyword import iskeyword
@@ -81,10 +81,11 @@ def custom_law(function: Callable[..., Any], names: tuple[str, ...]) -> Custom:
     control.ControlArgument
         If it takes something else.
     """
-    found = _custom_law(function, names)
-    # objects that are equal now may differ later
-    own = found.law is function or isinstance(function, MethodType)
-    return found if own else _custom_law.__wrapped__(function, names)
+    # objects that are equal now may differ later; some cannot be looked up at all
+    found = _custom_law(function, names) if isinstance(function, Hashable) else None
+    if found is not None and (found.law is function or isinstance(function, MethodType)):
+        return found
+    return _custom_law.__wrapped__(function, names)
 
 
 @lru_cache(maxsize=256)

@@ -137,7 +137,7 @@ def commands(structure: Structure, theta: Array, signal: InputSignal, lead: Arra
     return Commands(
         np.array(channels), np.array([start + driven.index(channel) for channel in channels]),
         np.array(first), np.array(codes, dtype=np.int64), np.array(values).reshape(-1, MAX_COEFFICIENTS),
-        np.ascontiguousarray(signal.inputs[channels]),
+        np.ascontiguousarray(signal.inputs[channels, signal.past :]),
         np.diff(np.clip(begun, 0.0, 1.0), axis=1) * signal.substeps,
         np.ceil(np.array(delays) - 1e-9).astype(np.int64), np.array(levels), signal.before, signal.dt,
     )  # fmt: skip

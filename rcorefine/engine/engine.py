@@ -58,6 +58,9 @@ class Trajectory:
         Resisting forces of the effects that keep a port, then the rows of a nonlinear model's field.
     blew_up : int
         First sample at which the state left all bounds, -1 if none.
+    last : MarchState, optional
+        State and memory of the laws at the last sample; the derivatives of the state are there where the
+        record is a part of a stream (`Engine(past=...)`).
     """
 
     outputs: Array
@@ -65,6 +68,7 @@ class Trajectory:
     states: Array
     forces: Array
     blew_up: int
+    last: MarchState | None = None
 
 
 class Engine:
@@ -86,6 +90,9 @@ class Engine:
     lead : ndarray of shape (n, n_y), optional
         Gain that acts where `run` is given none: that of an observer (`leading_gain`) or of a controller
         (`loop_gain`).
+    past : ndarray of shape (n_w, K), optional
+        Inputs at the K samples before the record, which is then a block of a stream: delays and laws with a
+        memory reach back into them.
     """
 
     def __init__(
@@ -96,6 +103,7 @@ class Engine:
         substeps: int = 1,
         initial: Array | None = None,
         lead: Array | None = None,
+        past: Array | None = None,
     ) -> None:
         data = structure.model.held(data)
         self.structure, self.data = structure, data
@@ -110,7 +118,10 @@ class Engine:
             substeps = BAND_LIMITED_FACTOR * -(-substeps // BAND_LIMITED_FACTOR)
         self.substeps = substeps
         at_rest = initial is not None and not initial.any()
-        self._signal = InputSignal(data.inputs, data.dt, data.hold, substeps, at_rest, data.elapsed)
+        before = data.inputs[:, :0] if past is None else past
+        inputs = np.hstack([before, data.inputs])
+        begin, self._streams = data.elapsed - data.dt * before.shape[1], past is not None
+        self._signal = InputSignal(inputs, data.dt, data.hold, substeps, at_rest, begin, before.shape[1])
         # a copy: a read-only view would have the march compiled once more
         self._measured = np.array(data.outputs.T, order="C")
         # operating point: sensors read absolute values, the model deviations
@@ -132,6 +143,7 @@ class Engine:
         initial_state: bool = False,
         gain: Array | None = None,
         use: NDArray[np.bool_] | None = None,
+        inner: Array | None = None,
         histories: bool = False,
         check: bool = True,
     ) -> Trajectory:
@@ -151,6 +163,8 @@ class Engine:
             Observer gain; a free run without it (or `lead`).
         use : ndarray of bool, shape (N, n_y), optional
             Where the observer corrects; everywhere by default.
+        inner : ndarray, shape (m + n_y,), optional
+            Memory of the laws at the first sample, as `Trajectory.last` has it; default at rest.
         histories : bool
             Whether to return states and forces.
         check : bool
@@ -176,23 +190,18 @@ class Engine:
         lead = self.lead if gain is None else gain
         observer, loop = self._corrections(lead, use), commands(s, theta, self._signal, lead)
         # linear model: initial states act by superposition, so their derivatives are computed separately
-        apart = initial_state and use is None and self._lawless
+        apart = initial_state and use is None and self._lawless and not self._streams
         S = start_columns(s, p + n) if initial_state and not apart else np.zeros((p, n))
         kept = N * histories
         into = MarchResult(
             np.full((N, ny), np.nan), np.zeros((N, ny, len(S))), np.full((kept, n), np.nan),
             np.full((kept, s.n_forces), np.nan), self._far, _BEYOND, self.substeps,
         )  # fmt: skip
-        x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
-        blew_up = self._march(at, drive, observer, x, S, into, loop)
+        # state and memory of the laws, changed in place
+        course = MarchState(_first(x0, n), _first(inner, s.n_ports + ny), S)
+        blew_up = self._march(at, drive, observer, course, into, loop)
         if blew_up >= 0 and check:
-            raise DivergenceError(
-                f"the simulation left all bounds at sample {blew_up} (t = {blew_up * self.data.dt:.6g} s): "
-                "the model with these effects is unstable; start from other coefficients or bound them"
-                if at.finite
-                else "the model with these effects grows beyond all numbers within one sample; start from "
-                "other coefficients or bound them"
-            )
+            raise self._divergence(at, blew_up)
         outputs, SY = into.outputs, into.sensitivity
         if apart:
             SY = np.concatenate([SY, self._decay(at, theta, observer.gain, blew_up)], axis=2)
@@ -200,10 +209,24 @@ class Engine:
         for index, channel in s.output_delays:
             if np.isfinite(outputs[:, channel]).all():  # after divergence there is nothing to delay
                 self._delay_output(theta, index, channel, outputs, SY, sensitivity, drive)
-        return _trajectory(outputs - self._level, SY, into.states, into.forces, blew_up)
+        # in `march` time is the first axis; in a trajectory it follows the channels
+        signals = (outputs - self._level).T, np.moveaxis(SY, 1, 0), into.states.T, into.forces.T
+        Y, SY, X, F = map(np.ascontiguousarray, signals)
+        return Trajectory(Y, SY, X, F, blew_up, course)
+
+    def _divergence(self, at: Setting, blew_up: int) -> DivergenceError:
+        if not at.finite:
+            return DivergenceError(
+                "the model with these effects grows beyond all numbers within one sample; start from "
+                "other coefficients or bound them"
+            )
+        return DivergenceError(
+            f"the simulation left all bounds at sample {blew_up} (t = {blew_up * self.data.dt:.6g} s): "
+            "the model with these effects is unstable; start from other coefficients or bound them"
+        )
 
     def _march(
-        self, at: Setting, drive: Drive, observer: Corrections, x: Array, S: Array, into: MarchResult,
+        self, at: Setting, drive: Drive, observer: Corrections, course: MarchState, into: MarchResult,
         loop: Commands | None,
     ) -> int:  # fmt: skip
         """March over the record, from sample to sample where a loop asks for it.
@@ -213,13 +236,12 @@ class Engine:
         if not at.finite:
             return 0
         if self._lawless and not NUMBA:
-            return simulate_linear(at.model.at, drive, observer, x, S, into)
-        ny, inner = self.structure.n_outputs, np.zeros(self.structure.n_ports + self.structure.n_outputs)
+            return simulate_linear(at.model.at, drive, observer, course.x, course.S, into)
         with np.errstate(all="ignore"):  # the march detects overflow itself; no warnings, as in compiled code
             if loop is None:
-                blew_up: int = march(at.model, drive, observer, MarchState(x, inner, S), into)
+                blew_up: int = march(at.model, drive, observer, course, into)
             else:
-                course = MarchState(x, np.append(inner, np.full(ny, np.nan)), S)
+                course = course._replace(z=np.append(course.z, np.full(self.structure.n_outputs, np.nan)))
                 given = at.model, drive.with_ends, observer, course, into, loop
                 blew_up = march_in_loop(address_of_march(), *given)
         raise_pending()
@@ -256,8 +278,9 @@ class Engine:
         if not s.drifts and not any(isinstance(e.spec, InputLaw | OutputLaw) for e in s.effects):
             return np.ones((s.n_outputs, at.size), dtype=bool)
         # sample at which the inputs are read
+        past = self._signal.past
         read = at + clock_drift(s, theta)[0] * (self.data.elapsed / self.data.dt + at)
-        found = np.tile((read > -1.0 + _WHOLE) & (read < at.size - 1 + _WHOLE), (s.n_outputs, 1))
+        found = np.tile((read > _WHOLE - 1.0 - past) & (read < at.size - 1 + _WHOLE), (s.n_outputs, 1))
         if found.mean() < 0.5:
             found[:] = True
         for index, effect in enumerate(s.effects):
@@ -265,10 +288,11 @@ class Engine:
             if isinstance(law, InputLaw | OutputLaw) and not self._known_start:
                 values = [float(s.value(theta, index, name)) for name in law.coefficient_names]
                 count = law.unseen(self.data.dt, *values)
-                most = _HIDDEN_LATER if self.data.elapsed else _HIDDEN
+                most = 1.0 if self._streams else _HIDDEN_LATER if self.data.elapsed else _HIDDEN
+                everywhere = isinstance(law, InputLaw)
+                count -= past * everywhere  # inputs before the record are known there
                 hidden = at < np.ceil(np.clip(count - _WHOLE, 0.0, most * at.size))
                 labels = s.linear_model.output_labels
-                everywhere = isinstance(law, InputLaw)
                 found[slice(None) if everywhere else labels.index(effect.place)] &= ~hidden
         return found
 
@@ -360,12 +384,6 @@ def _course(grid: Array, values: Array, corners: Array) -> CubicSpline:
     return course
 
 
-def _trajectory(Y: Array, SY: Array, X: Array, F: Array, blew_up: int) -> Trajectory:
-    """Return the signals of `march` as a trajectory.
-
-    In `march` time is the first axis; in a trajectory it follows the channels.
-    """
-    outputs, sensitivity, states, forces = (
-        np.ascontiguousarray(one) for one in (Y.T, np.moveaxis(SY, 1, 0), X.T, F.T)
-    )
-    return Trajectory(outputs, sensitivity, states, forces, blew_up)
+def _first(given: Array | None, size: int) -> Array:
+    """Return a copy of what a run begins with: by default zeros."""
+    return np.zeros(size) if given is None else np.array(given, dtype=float)

@@ -97,13 +97,22 @@ class InputSignal:
         first value, for want of a better one.
     begin : float
         Seconds from where the recording began to the first sample: clocks that run apart agree there.
+    past : int
+        Samples at the start that belong to the time before the record.
     """
 
     def __init__(
-        self, inputs: Array, dt: float, hold: str, substeps: int, at_rest: bool = False, begin: float = 0.0
+        self,
+        inputs: Array,
+        dt: float,
+        hold: str,
+        substeps: int,
+        at_rest: bool = False,
+        begin: float = 0.0,
+        past: int = 0,
     ) -> None:
         self.inputs, self.dt, self.hold, self.substeps = inputs, dt, hold, substeps
-        self.begin = begin
+        self.begin, self.past = begin, past
         self.before = 0.0 if at_rest else 1.0  # input before the record over its first value
         n = inputs.shape[1]
         self._fine: Array | None = None
@@ -120,9 +129,8 @@ class InputSignal:
         self._base = np.ascontiguousarray(np.vstack([held, np.ones((1, held.shape[1]))]).T)
         self._base_out = np.ascontiguousarray(np.vstack([inputs, np.ones((1, n))]).T)
         empty, none = np.zeros((0, *self._base.shape)), np.zeros((0, *self._base_out.shape))
-        self._as_given = Drive(
-            self._base, int(self._fine is not None), self._base_out, empty, none, np.zeros(0, dtype=np.int64)
-        )
+        given = (int(self._fine is not None), self._base_out, empty, none, np.zeros(0, dtype=np.int64))
+        self._course, self._as_given = given[0], self._recorded(Drive(self._base, *given))
 
     def drive(self, structure: Structure, theta: Array) -> Drive:
         """Input nodes with the structure's dead zones, saturations and delays."""
@@ -143,7 +151,16 @@ class InputSignal:
         for k, (_, channel, fine, rough) in enumerate(slopes):
             dW[k, :, channel], dWout[k, :, channel] = fine, rough
         driven = np.array([which for which, *_ in slopes], dtype=np.int64)
-        return Drive(W, 2 if moving else self._as_given.course, Wout, dW, dWout, driven)
+        return self._recorded(Drive(W, 2 if moving else self._course, Wout, dW, dWout, driven))
+
+    def _recorded(self, drive: Drive) -> Drive:
+        """Leave out what acts before the record."""
+        if not self.past:
+            return drive
+        rows = self.past * self.substeps * max(drive.course, 1)
+        W, Wout = drive.W[rows:], drive.Wout[self.past :]
+        dW, dWout = (np.ascontiguousarray(one) for one in (drive.dW[:, rows:], drive.dWout[:, self.past :]))
+        return drive._replace(W=W, Wout=Wout, dW=dW, dWout=dWout)
 
     def _acting(
         self, structure: Structure, theta: Array, channel: int, moving: bool

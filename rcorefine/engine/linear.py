@@ -178,7 +178,7 @@ def simulate_linear(
     corrections : Corrections
         What the observer does; `use` is zero in a free run.
     x : ndarray, shape (n,)
-        Initial state.
+        State at the first sample; at the last one on return.
     S : ndarray, shape (p, n)
         Its derivatives.
     into : MarchResult
@@ -225,8 +225,10 @@ def simulate_linear(
             column, pushes = drive.driven[r] - a, over.pushes(_ends(drive.dW[r], drive.course, substeps))
             added[:, :, column] += over.gathered(pushes[..., None])[:, :, 0]
             direct[:, :, column] += D @ drive.dWout[r].T
-        moved, _ = _filter(over.Phi, C, stretches, S[group].T, added, direct, 0.0 * measured)
+        moved, final = _filter(over.Phi, C, stretches, S[group].T, added, direct, 0.0 * measured)
+        S[group] = final[:, -1].T
         into.sensitivity[:, :, group] = (_times(C, moved) + direct).transpose(1, 0, 2)
+    x[:] = states[-1]
     end = N if blew_up < 0 else blew_up
     into.outputs[:end], into.sensitivity[end:] = outputs[:end], 0.0
     if len(into.states):

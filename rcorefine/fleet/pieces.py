@@ -5,7 +5,6 @@ A worker turns one record into one row.
 
 from __future__ import annotations
 
-import functools
 import re
 import time
 import warnings
@@ -73,20 +72,11 @@ class Piece:
         """Model and record, out of their files where they are not here yet."""
         model = self.model
         if isinstance(model, Path):
-            model = _model_in(model, model.stat().st_mtime_ns)
+            model = physical(read_model(model))
         record = self.record
         if not isinstance(record, Measurement):
             record = read_record(record, model, **self.reading)
         return model, record
-
-
-@functools.lru_cache(maxsize=16)
-def _model_in(path: Path, _: int) -> Any:
-    """Return the model of a file, cached until the file changes.
-
-    The cache helps because a worker has many records of one machine.
-    """
-    return physical(read_model(path))
 
 
 def examine(pieces: tuple[Piece, ...]) -> list[SurveyRow]:

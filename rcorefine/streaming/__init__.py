@@ -6,7 +6,7 @@ It implements the two stages of the paper.
 from __future__ import annotations
 
 from .history import History
-from .rcmr.setup import Scales
 from .refiner import RCORefiner
+from .scales import Scales
 
 __all__ = ["History", "RCORefiner", "Scales"]

@@ -83,7 +83,7 @@ class FilterBankMemory:
     n_samples: int
 
 
-storable(Frozen, FilterBankMemory, RaceMemory=FilterBankMemory)  # its name in files of version 0.1
+storable(Frozen, FilterBankMemory)
 
 
 class FilterBank:

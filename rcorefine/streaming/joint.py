@@ -26,11 +26,10 @@ from .coefficients.entries import FORMS, all_entries, correction, named_entries,
 from .coefficients.setup import CoefficientFilter, CoefficientSetup, FilterSettings, checked_settings
 from .filter_bank import FilterBank
 from .history import CoefficientHistory, Summary, joined, pole_samples, poles_of
+from .paper import PaperStages, correction_path
 from .persistence import check_like
-from .rcmr.kernels import Plant
-from .rcmr.paper import PaperStages
-from .rcmr.setup import Scales, Settings, as_settings, correction_path, make_setup, markov_parameters
-from .samples import Block, Sampled, as_size, whole_block
+from .samples import Block, Sampled, whole_block
+from .scales import Plant, Scales, markov_parameters
 
 _PENDING = 32  # single samples that wait for one another (race, stage 1) until a result is asked for
 
@@ -174,7 +173,7 @@ class JointStages:
     def dynamic_theta(self) -> Array:
         """Coefficients of stage 1."""
         self._flush()
-        return np.zeros((0, 0)) if self.first is None else self.first.theta(0)
+        return np.zeros((0, 0)) if self.first is None else self.first.dynamic_theta()
 
     def static_theta(self) -> Array:
         """Static coefficients, shape (1, p)."""
@@ -302,7 +301,7 @@ def response_deviation(center: LinearModel, around: Sequence[LinearModel], omega
     return np.asarray(np.sqrt(total) / _SHARE)
 
 
-_STATIC = ("static_order", "static_window", "static_markov", "static_learning_rate", "static_average")
+_STATIC = ("static_window", "static_markov", "static_learning_rate", "static_average")
 _PAPERS = ("window", "markov", *_STATIC)
 _FILTERS: dict[str, Any] = {
     "noise": None,
@@ -311,11 +310,7 @@ _FILTERS: dict[str, Any] = {
     "forgetting": 1.0,
     "substeps": None,
 }
-_DEFAULTS = {"window": 800, "markov": 20, "learning_rate": 1e5, "static_order": 0}
-_BESIDE = {**_DEFAULTS, "window": 100}  # stage 1 where it only runs beside: a short window costs less
-_INERT = Settings(order=0, window=1, markov=1, learning_rate=1e25)  # the static stage is the filter's
 _MOST = 150  # coefficients of a form that takes part in a race unasked
-_AVERAGE = 800  # samples that static coefficients are averaged over where no window is given
 
 
 def assembled(given: dict[str, Any], sampled: Sampled) -> PaperStages | JointStages:
@@ -396,27 +391,20 @@ def _paper(given: dict[str, Any], sampled: Sampled, keep: bool, asked: str) -> P
             f"{unused[0]} is a setting of the joint filter, {asked} one of the paper's equations; "
             "name effects=[...] or static=..., or leave one of the two out"
         )
-    settings = as_settings(given, _DEFAULTS)
-    # average over two windows
-    average = given["static_average"]
-    if average is None:
-        average = 2 * settings[1].window if given["window"] or given["static_window"] else _AVERAGE
-    average = as_size(average, "static_average", 1, "samples to average over")
-    return PaperStages(make_setup(sampled, given, settings, given["use_estimated_states"], average), keep)
+    return PaperStages(sampled, given, keep)
 
 
 def _stage_one(given: dict[str, Any], sampled: Sampled, keep: bool) -> tuple[PaperStages | None, str]:
     """Stage 1 beside the filter, or why there is none."""
     if not given["use_estimated_states"]:
         return None, ""
-    settings = as_settings(given, _BESIDE)[0], _INERT
     # Markov parameters: does each input act on an output within n samples?
     m = sampled.discrete
     shown = markov_parameters(Plant(m.A, m.B, m.B, m.C, m.D, m.D), m.n_states + 1).any(axis=(0, 1))
     given_path = given["correction_input"] is not None or given["correction_feedthrough"] is not None
     if not given_path and not shown.all():
         return None, "Stage 1 does not run: an input affects no output, so it cannot correct any."
-    return PaperStages(make_setup(sampled, given, settings, True, 1), keep), ""
+    return PaperStages(sampled, given, keep, beside=True), ""
 
 
 def _named_setup(

@@ -29,7 +29,7 @@ from ..models.ports import Port
 from ..systems.linear import LinearModel
 from ..writing import damaged, read_archive, replacing
 
-SCHEMA = 1  # of the file; raised when an older reader could misread it
+SCHEMA = 2  # of the file; raised when an older reader could misread it
 _META = "meta"
 _KINDS: dict[str, Any] = {
     kind.__name__: kind for kind in (LinearModel, PhysicalModel, NominalParameter, Port, Table)
@@ -37,12 +37,9 @@ _KINDS: dict[str, Any] = {
 _NOT_STORED = {"kernel"}  # made anew from the other fields
 
 
-def storable(*kinds: type, **older: type) -> None:
-    """Enter dataclasses and named tuples that files may hold.
-
-    Those of `older` stand under these names in older files.
-    """
-    _KINDS.update({kind.__name__: kind for kind in kinds} | older)
+def storable(*kinds: type) -> None:
+    """Enter dataclasses and named tuples that files may hold."""
+    _KINDS.update({kind.__name__: kind for kind in kinds})
 
 
 def write_file(path: str | os.PathLike[str], content: Any) -> None:
@@ -85,8 +82,9 @@ def read_file(
     schema = meta.get("schema") if isinstance(meta, dict) else None
     if schema != SCHEMA:
         raise DataError(
-            f"{os.fspath(path)!r} has schema version {schema!r}, this version reads {SCHEMA}; "
-            "load it with the version of rcorefine that wrote it"
+            f"{os.fspath(path)!r} has schema version {schema!r}, this version reads {SCHEMA}: an estimator "
+            "of another version is not continued. Load it with the version of rcorefine that wrote it, or "
+            "begin anew from its refined model"
         )
     with damaged(path):
         content = _decode(meta["content"], arrays, known)

@@ -22,7 +22,6 @@ from .history import CoefficientHistory, History, Summary
 from .joint import assembled
 from .locks import Locked
 from .persistence import check_like, read_file, write_file
-from .rcmr.setup import Scales
 from .samples import (
     as_missing,
     as_samples,
@@ -32,6 +31,7 @@ from .samples import (
     sampled_model,
     whole_block,
 )
+from .scales import Scales
 
 _CHUNK = 1000
 
@@ -66,7 +66,7 @@ class RCORefiner(Locked, Result):
     order, window, markov, learning_rate : int or float, optional
         Stage 1: memory n_c in samples (5), window p (800; 100 beside the filters), mu Markov parameters
         (20 or more), weight alpha of a change of theta (1e5; larger is slower).
-    static_order, static_window, static_markov, static_learning_rate, static_average : int or float, optional
+    static_window, static_markov, static_learning_rate, static_average : int or float, optional
         The same of the paper's stage 2 (n_c = 0), and samples that its model averages (two windows).
     correction_input, correction_feedthrough : array_like of shape (n, l_u), (n_y, l_u), optional
         B_u, D_u: where the correction acts; default B and D (zero where B_u is given).
@@ -111,7 +111,6 @@ class RCORefiner(Locked, Result):
         window: int | None = None,
         markov: int | None = None,
         learning_rate: float | None = None,
-        static_order: int | None = None,
         static_window: int | None = None,
         static_markov: int | None = None,
         static_learning_rate: float | None = None,
@@ -137,7 +136,6 @@ class RCORefiner(Locked, Result):
         self.window = window
         self.markov = markov
         self.learning_rate = learning_rate
-        self.static_order = static_order
         self.static_window = static_window
         self.static_markov = static_markov
         self.static_learning_rate = static_learning_rate

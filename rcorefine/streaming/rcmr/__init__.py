@@ -1,4 +1,0 @@
-"""Retrospective cost model refinement by the paper's equations.
-
-Both stages work on arrays.
-"""
