@@ -20,7 +20,7 @@ from scipy.special import softmax
 import rcorefine as rco
 from rcorefine.inference.levels import Levels
 from rcorefine.streaming import monitor, naming, score
-from rcorefine.streaming.naming import Case, MonitorRow, Trial
+from rcorefine.streaming.naming import Change, Fitted, MonitorRow
 
 PERIOD, BLOCK, DT = 40, 8, 0.5
 LEARN, CROSSED = 200, 239  # the threshold is crossed in the block that ends with this sample
@@ -94,11 +94,11 @@ def watched(
         last = (state.blocks + 1) * BLOCK - 1
         return state._replace(blocks=state.blocks + 1), 2.0 if last in crossings else 0.5
 
-    def rung(of: Any, state: State) -> Case:
+    def rung(of: Any, state: State) -> Change:
         n = state.blocks * BLOCK
-        return Case(n - 1, 9.0, 6.0, n + naming.next_look(0, PERIOD, 10**6), n + 4 * PERIOD, n - 1)
+        return Change(n - 1, 9.0, 6.0, n + naming.next_look(0, PERIOD, 10**6), n + 4 * PERIOD, n - 1)
 
-    def name(of: Any, state: State, case: Case) -> Case:
+    def name(of: Any, state: State, change: Change) -> Change:
         look = left.pop(0) if len(left) > 1 else left[0]
         looked.append(state.blocks * BLOCK)
         rows = []
@@ -106,8 +106,8 @@ def watched(
             names = [f"c{i}" for i in range(size)]
             values, std = dict.fromkeys(names, -10.0), dict.fromkeys(names, 1.0)
             rows.append(MonitorRow(effect, values, std, np.nan, gain, True))
-        p = naming.shares(naming.change_of(case, np.full(3, -18.0)), np.array(look.gains), look.none)
-        return replace(case, rows=naming.ranked(rows, p[1:]), misfit=look.misfit, none=look.none)
+        p = naming.shares(naming.change_of(change, np.full(3, -18.0)), np.array(look.gains), look.none)
+        return replace(change, rows=naming.ranked(rows, p[1:]), misfit=look.misfit, none=look.none)
 
     def fit(self: Any, effect: Any, start: int, evaluations: int = 0) -> Any:
         if effect is None:
@@ -137,8 +137,8 @@ def watched(
         watch = rco.Monitor(MODEL, [A, B, C], dt=DT, learn=LEARN)
         for part in [samples] if at_once else [1] * samples:
             watch.update(np.zeros(part), np.zeros((watch._base.structure.n_outputs, part)))
-        case = watch._memory.case
-    state, rang = "healthy" if case is None else "waiting", None
+        change = watch._memory.change
+    state, rang = "healthy" if change is None else "waiting", None
     if watch.alarm is not None:
         state, rang = NAMES[watch.alarm.effect], watch.alarm.sample
     return Course(state, rang, len(watch.past_alarms), len(restarts), looked, followed, watch)
@@ -339,7 +339,7 @@ def test_gains_are_weighed_by_what_the_best_fit_leaves(
 ) -> None:
     """Schwarz's penalty for each further coefficient, and four for a change of unknown form."""
     trials: list[Any] = [
-        Trial(effect or ONE, fitted(float(cost), i), 0.5 * (HEALTHY - cost) * bool(effect))
+        Fitted(effect or ONE, fitted(float(cost), i), 0.5 * (HEALTHY - cost) * bool(effect))
         for i, (cost, effect) in enumerate(fits)
     ]
     weighed, found, none = naming.weighed(trials, HEALTHY)
@@ -366,7 +366,7 @@ def test_a_size_has_to_be_determined(
     effect: Any, theta: list[float], std: list[float], determined: bool
 ) -> None:
     fit: Any = SimpleNamespace(theta=np.array(theta), std=np.array(std))
-    assert Trial(effect, fit, 1.0).determined == determined
+    assert Fitted(effect, fit, 1.0).determined == determined
 
 
 # ------------------------------------------------------------------------- learning

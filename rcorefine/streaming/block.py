@@ -1,4 +1,4 @@
-"""The one fit of a stream: coefficients and initial state on a stretch of samples, with a Gaussian prior.
+"""The one fit of a stream: coefficients and initial state of a stretch.
 
 Engine, Gauss-Newton and derivatives are those of `refine` and `diagnose`.
 """
@@ -219,7 +219,7 @@ def _uncertainty(J: Array, f: int, U: Array | None) -> tuple[Array, Array]:
 
 
 def _bounds(structure: Structure, theta: Array, free: NDArray[np.intp], dt: float) -> tuple[Array, Array]:
-    """Return bounds of the free coefficients, a little inside those of physics."""
+    """Return bounds of the free coefficients, just inside those of physics."""
     of = [structure.parameters[i] for i in free]
     lower, upper = np.array([q.lower for q in of]), np.array([q.upper for q in of])
     lower = lower + 0.02 * np.abs(

@@ -30,7 +30,7 @@ from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array
 from ..writing import damaged
 from .locks import Locked
-from .naming import Adequacy, Alarm, Case, MonitorRow, adequacy_of, attend, history_row, linear_rows, rung
+from .naming import Adequacy, Alarm, Change, MonitorRow, adequacy_of, attend, history_row, linear_rows, rung
 from .persistence import check_like, check_range, check_schema, read_file, storable, write_file
 from .samples import Block, as_missing, as_size, checked_block
 from .score import (
@@ -38,7 +38,7 @@ from .score import (
     Base,
     Healthy,
     State,
-    Watched,
+    WatchedModel,
     advance,
     begin,
     block_of,
@@ -53,12 +53,14 @@ _LEARN_PERIODS = 20
 _ROWS = 2048  # of the history
 _MOST_PAST = 100  # alarms that are kept
 _LAYOUT = 4  # of a file; raised when what a monitor learned changes its form
-storable(Adequacy, Alarm, Block, Case, Healthy, MonitorRow, State)
+storable(Adequacy, Alarm, Block, Change, Healthy, MonitorRow, State)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Memory:
-    """All that an update changes, replaced as a whole: an update that fails changes nothing.
+    """All that an update changes, replaced as a whole.
+
+    An update that fails changes nothing.
 
     Attributes
     ----------
@@ -68,11 +70,11 @@ class _Memory:
         Last inputs.
     waiting : Block
         Samples that make no whole block yet.
-    watched : Watched or None
+    watched : WatchedModel or None
         Healthy model; None in the learning phase.
     state : State or None
         Observer and scores.
-    case : Case or None
+    change : Change or None
         The change, once a threshold was crossed.
     past : tuple of Alarm
         Alarms that have ended.
@@ -83,9 +85,9 @@ class _Memory:
     count: int
     latest: Array
     waiting: Block
-    watched: Watched | None = None
+    watched: WatchedModel | None = None
     state: State | None = None
-    case: Case | None = None
+    change: Change | None = None
     past: tuple[Alarm, ...] = ()
     adequacy: Adequacy | None = None
 
@@ -231,7 +233,7 @@ class Monitor(Locked, Result):
         nothing = Block(np.zeros((0, linear.n_inputs)), np.zeros(flags.shape), flags[:, 0], flags)
         self._memory = _Memory(0, np.zeros(linear.n_inputs), nothing)
         block = block_of(self._period)
-        self._course = _Course(len(self.candidates) + 4, block * max(1, self._period // (2 * block)))
+        self._course = _Timeline(len(self.candidates) + 4, block * max(1, self._period // (2 * block)))
 
     # ------------------------------------------------------------------ samples in
     @np.errstate(divide="warn", over="warn", invalid="warn", under="ignore")  # NumPy's defaults
@@ -273,7 +275,7 @@ class Monitor(Locked, Result):
         """Return the memory after a block; rows of the history come behind `rows`."""
         count, waiting = m.count + len(block.inputs), Block.joined([m.waiting, block])
         m = replace(m, count=count, latest=block.inputs[-1].copy(), waiting=waiting)
-        watched, state, case, past, adequacy = m.watched, m.state, m.case, m.past, m.adequacy
+        watched, state, change, past, adequacy = m.watched, m.state, m.change, m.past, m.adequacy
         phase: Block | None = None
         if watched is None:
             if count < self.learn:
@@ -284,21 +286,21 @@ class Monitor(Locked, Result):
         at, B = 0, watched.block
         assert state is not None
         while len(waiting.inputs) - at >= B:
-            state, ratio = advance(watched, state, waiting.part(at, at + B), case is None)
+            state, ratio = advance(watched, state, waiting.part(at, at + B), change is None)
             at, n = at + B, state.blocks * B
-            if case is not None:
-                state, case, ended = attend(watched, state, case)
+            if change is not None:
+                state, change, ended = attend(watched, state, change)
                 past = (*past, ended)[-_MOST_PAST:] if ended is not None else past
             else:
                 state = found_anew(watched, state)
                 if ratio > 1.0 and n > self.learn:
-                    case = rung(watched, state)
+                    change = rung(watched, state)
             if phase is not None and n + B > self.learn:
                 adequacy, phase = adequacy_of(watched, state, phase), None
             if n % self._course.stride == 0:
-                rows.append((n, history_row(watched, state, case)))
+                rows.append((n, history_row(watched, state, change)))
         waiting = waiting.part(at, len(waiting.inputs))
-        return _Memory(count, m.latest, waiting, watched, state, case, past, adequacy)
+        return _Memory(count, m.latest, waiting, watched, state, change, past, adequacy)
 
     def run(self, data: Measurement) -> Monitor:
         """Take a whole record, channels matched by name.
@@ -414,7 +416,7 @@ class Monitor(Locked, Result):
         fresh = Monitor(_Saved(base), settings.pop("candidates"), **settings)
         vars(self).update(vars(fresh))
         self._memory = _restored(self, content)
-        self._course = _Course.restored(content["course"], self._course, content["count"])
+        self._course = _Timeline.restored(content["course"], self._course, content["count"])
 
     # ------------------------------------------------------------------ what it says
     @property
@@ -425,8 +427,8 @@ class Monitor(Locked, Result):
     @property
     def alarm(self) -> Alarm | None:
         """The alarm that is on, or None."""
-        case = self._memory.case
-        return None if case is None else case.alarm
+        change = self._memory.change
+        return None if change is None else change.alarm
 
     @property
     def past_alarms(self) -> tuple[Alarm, ...]:
@@ -444,7 +446,7 @@ class Monitor(Locked, Result):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What the learning phase showed, one sentence each."""
+        """Cautions of the learning phase, one sentence each."""
         found = self._memory.adequacy
         return () if found is None or found.adequate else (found.sentence,)
 
@@ -493,8 +495,8 @@ class Monitor(Locked, Result):
         if m.watched is None or m.state is None:
             return ()
         # fits since the change while an alarm is on, otherwise the scores
-        if m.case is not None and m.case.rows:
-            return m.case.rows
+        if m.change is not None and m.change.rows:
+            return m.change.rows
         return linear_rows(m.watched, m.state)
 
     @picture
@@ -523,7 +525,7 @@ class Monitor(Locked, Result):
         return show(self, "plot", **options)
 
 
-class _Course:
+class _Timeline:
     """History rows at equal steps.
 
     When it is full, every other row is dropped and the step doubles.
@@ -554,7 +556,7 @@ class _Course:
             self.count += 1
 
     @classmethod
-    def restored(cls, found: Any, fresh: _Course, count: int) -> _Course:
+    def restored(cls, found: Any, fresh: _Timeline, count: int) -> _Timeline:
         """The course of a file, checked against a fresh one."""
         width = fresh.rows.shape[1]
         like = {"stride": 1, "rows": np.full((1, width), np.nan), "samples": np.zeros(1, dtype=np.int64)}
@@ -570,7 +572,7 @@ class _Course:
 
 # ------------------------------------------------------------------------ settings
 def _structure_of(model: Any, hold: str) -> tuple[Structure, Array, int]:
-    """Return structure, coefficients and substeps of the healthy model, which acts at once."""
+    """Return structure, coefficients and substeps of the healthy model."""
     refuse_discrete(model)
     structure, theta, substeps = structure_of(model)
     check_stream_hold(structure.model, hold)
@@ -642,7 +644,7 @@ class _Saved:
 
 
 def _restored(monitor: Monitor, content: Mapping[str, Any]) -> _Memory:
-    """Memory of a file, each part checked against that of a fresh monitor of the same settings."""
+    """Memory of a file, each part checked against a fresh one."""
     base, fresh, count = monitor._base, monitor._memory, content["count"]
     p = base.structure.n_parameters
     check_like(base.theta, np.zeros(p), "coefficients of the model")
@@ -653,8 +655,8 @@ def _restored(monitor: Monitor, content: Mapping[str, Any]) -> _Memory:
     rows = dict.fromkeys(("inputs", "outputs", "known", "use"), "samples")
     check_like(content["waiting"], fresh.waiting, "waiting", rows)
     waiting = len(content["waiting"].inputs)
-    healthy, state, past, case = (content[name] for name in ("healthy", "state", "past", "case"))
-    _check_names(monitor, case, past, content["adequacy"])
+    healthy, state, past, change = (content[name] for name in ("healthy", "state", "past", "change"))
+    _check_names(monitor, change, past, content["adequacy"])
     if healthy is None:
         check_range(count, waiting, min(waiting, monitor.learn - 1), "count")
         return replace(fresh, count=count, latest=content["latest"], waiting=content["waiting"])
@@ -665,7 +667,7 @@ def _restored(monitor: Monitor, content: Mapping[str, Any]) -> _Memory:
     check_schema(healthy, Healthy, sizes, "healthy")
     check_range(sizes["q"], 1, MAX_ORDER + 1, "orders of the noise")
     check_range(healthy.filters[:, 0], 1.0, 1.0, "filters")
-    watched = Watched(
+    watched = WatchedModel(
         base, numbers, healthy, monitor.candidates, monitor._period, monitor.false_alarms, monitor.learn
     )
     check_like(state, begin(watched), "state", {"before": "rows"})
@@ -677,30 +679,27 @@ def _restored(monitor: Monitor, content: Mapping[str, Any]) -> _Memory:
     check_range(count, monitor.learn, math.inf, "count")
     check_range(state.blocks * watched.block + waiting, count, count, "blocks and samples that wait")
     return _Memory(
-        count, content["latest"], content["waiting"], watched, state, case, past, content["adequacy"]
+        count, content["latest"], content["waiting"], watched, state, change, past, content["adequacy"]
     )
 
 
-def _check_names(monitor: Monitor, case: Any, past: Any, adequacy: Any) -> None:
+def _check_names(monitor: Monitor, change: Any, past: Any, adequacy: Any) -> None:
     """Refuse an alarm or a ranking of other effects than the candidates."""
-    nothing = Case(0, 0.0, 0.0, 0, 0, 0)
-    if (
-        not isinstance(case, Case | None)
-        or not isinstance(adequacy, Adequacy | None)
-        or type(past) is not tuple
-    ):
-        raise DataError("case, past or adequacy is none: the file is damaged")
-    found: list[tuple[Any, Any]] = [(alarm, Alarm) for alarm in past]
-    if case is not None:
-        for name in ("crossed", "look", "follow", "since", "statistic", "threshold"):
-            check_like(getattr(case, name), getattr(nothing, name), f"case.{name}")
-        found += [(case.alarm, Alarm)] if case.alarm is not None else []
-        found += [(row, MonitorRow) for row in case.rows]
-        effects = [getattr(row, "effect", None) for row in case.rows]
-        if effects and sorted(map(repr, effects)) != sorted(map(repr, monitor.candidates)):
-            raise DataError("case.rows are not the candidates: the file is damaged")
-    for part, kind in found:
-        if type(part) is not kind or part.effect not in monitor.candidates:
+    for part, kind in ((change, Change | None), (adequacy, Adequacy | None), (past, tuple)):
+        if not isinstance(part, kind):
+            raise DataError(f"{part!r:.80} is no {kind}: the file is damaged")
+    found: list[Any] = [*past]
+    if change is not None:
+        fields = "crossed", "look", "follow", "since", "statistic", "threshold"
+        nothing = Change(0, 0.0, 0.0, 0, 0, 0)
+        for name in fields:
+            check_like(getattr(change, name), getattr(nothing, name), f"change.{name}")
+        found += [*change.rows, *filter(None, [change.alarm])]
+        effects = [row.effect for row in change.rows if type(row) is MonitorRow]
+        if change.rows and sorted(map(repr, effects)) != sorted(map(repr, monitor.candidates)):
+            raise DataError("change.rows are not the candidates: the file is damaged")
+    for part in found:
+        if type(part) not in (Alarm, MonitorRow) or part.effect not in monitor.candidates:
             raise DataError(f"{part!r:.80} is of none of the candidates: the file is damaged")
         own = [name for name in part.coefficients if name in part.effect.free]
         for name in ("coefficients", "std"):

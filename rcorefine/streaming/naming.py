@@ -1,4 +1,4 @@
-"""What has changed, since when and how much: fits at an alarm, their ranking, and the end of an alarm."""
+"""Names of changes: fits at an alarm, their ranking, and its end."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from ..results import Row, with_error
 from ..systems.linear import Array
 from .block import BlockFit, Stretch, fit_block
 from .samples import Block
-from .score import BLOCKS, FREE, State, Watched, radius, recent, restarted, statistics, variances
+from .score import BLOCKS, FREE, State, WatchedModel, radius, recent, restarted, statistics, variances
 
 PATIENCE = 4  # periods that an alarm may wait for a clear name
 _SETTLE = 4  # periods in which the time of the change is estimated again
@@ -37,7 +37,7 @@ _LEADERS, _PLACES = 3, 2  # candidates, and places, for which the time of the ch
 _SCREEN, _FIT = 4, 15  # simulations of a first fit, and of one that counts
 _STARTS = 2  # starting points of a law with a gap or a limit
 _UNKNOWN = 4  # coefficients that a change of unknown form would take
-_LEFT = 1e-2  # chance that the noise alone leaves more
+_LEFT = 1e-3  # chance that the noise alone leaves more
 _KEPT = 1e-6  # probability with which a candidate is fitted again
 _SHOWN = 3  # parameters in a sentence
 
@@ -127,7 +127,7 @@ class Alarm(Row):
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class Change:
     """A change between the crossing of a threshold and its end.
 
     Attributes
@@ -167,8 +167,11 @@ class Case:
     std: float = math.nan
 
 
-class Trial(NamedTuple):
-    """A candidate fitted from a sample on, and the log-likelihood that it gains over the healthy model."""
+class Fitted(NamedTuple):
+    """A candidate fitted from a sample on.
+
+    `gain` is the log-likelihood that it gains over the healthy model.
+    """
 
     effect: Effect
     fit: BlockFit
@@ -212,12 +215,14 @@ def shares(change: float, gains: Array, none: float = -math.inf) -> Array:
     return np.concatenate([[1.0 - something], something * weight / (weight.sum() + math.exp(none - top))])
 
 
-def weighed(trials: Sequence[Trial], healthy: float) -> tuple[list[Trial], float, float]:
-    """Return the trials with fair gains, best first, the misfit, and the gain of no candidate.
+def weighed(trials: Sequence[Fitted], healthy: float) -> tuple[list[Fitted], float, float]:
+    """Weigh fits by what the best one leaves, and by their coefficients.
+
+    Return them with fair gains, best first, the misfit, and the gain of no candidate.
 
     Parameters
     ----------
-    trials : sequence of Trial
+    trials : sequence of Fitted
         Fits; a gain of zero or less counts as no explanation.
     healthy : float
         Sum of squares that the healthy model leaves.
@@ -234,7 +239,10 @@ def weighed(trials: Sequence[Trial], healthy: float) -> tuple[list[Trial], float
 
 
 def clear_place(rows: Iterable[MonitorRow], misfit: float) -> str:
-    """Return the place that has nearly all of the probability, if its fit leaves noise only; otherwise ""."""
+    """Return the place that has nearly all of the probability.
+
+    It is "" if there is none, or if its fit leaves more than noise.
+    """
     places: dict[str, float] = {}
     for row in rows:
         places[row.effect.place] = places.get(row.effect.place, 0.0) + row.probability
@@ -256,7 +264,10 @@ def next_look(age: int, period: int, room: int) -> int:
 
 
 def simplest(rows: Sequence[MonitorRow]) -> tuple[MonitorRow, list[MonitorRow]]:
-    """Return the simplest of the rows that explain as much as the first at its place, and these rows."""
+    """Return the simplest of the best rows at the best place.
+
+    The rows that explain as much follow.
+    """
     best = rows[0]
     alike = [
         row
@@ -269,7 +280,10 @@ def simplest(rows: Sequence[MonitorRow]) -> tuple[MonitorRow, list[MonitorRow]]:
 
 
 def renames(misfit: float, before: float, gain: float) -> bool:
-    """Return whether a later ranking replaces one: its fit is about as good, and worth a name."""
+    """Return whether a later ranking replaces one.
+
+    Its fit is about as good, and worth a name.
+    """
     level = levels()
     return misfit <= level.alarm_left * before and gain >= level.alarm_worth
 
@@ -295,8 +309,10 @@ def is_gone(value: float, std: float, expected: float, cost: float, plain: float
 
 
 # ------------------------------------------------------------------------ scores
-def standing(watched: Watched, state: State) -> tuple[float, Array]:
-    """Return the largest statistic over its threshold, and the gain of each candidate, 0 at the threshold.
+def standing(watched: WatchedModel, state: State) -> tuple[float, Array]:
+    """Return the largest statistic, and the gain of each candidate.
+
+    The statistic is divided by its threshold; the gain is 0 there.
 
     A candidate that changes a parameter of the model has the score of that; the others have the energy.
     """
@@ -305,14 +321,14 @@ def standing(watched: Watched, state: State) -> tuple[float, Array]:
     return float(np.sqrt((square / level).max(initial=0.0))), best[watched.seen_in]
 
 
-def linear_rows(watched: Watched, state: State) -> tuple[MonitorRow, ...]:
+def linear_rows(watched: WatchedModel, state: State) -> tuple[MonitorRow, ...]:
     """Ranking by the scores alone, while no alarm is on."""
     rows = _linear(watched, state)
     gains = np.array([row.log_likelihood for row in rows])
     return ranked(rows, shares(float(gains.max()), gains)[1:])
 
 
-def _linear(watched: Watched, state: State) -> list[MonitorRow]:
+def _linear(watched: WatchedModel, state: State) -> list[MonitorRow]:
     """Estimate of each candidate by the scores, in their order."""
     _, gains = standing(watched, state)
     square, wide, level = statistics(watched, state), variances(watched, state), watched.squares
@@ -332,36 +348,44 @@ def _linear(watched: Watched, state: State) -> list[MonitorRow]:
 
 
 def ranked(rows: Iterable[MonitorRow], probabilities: Array) -> tuple[MonitorRow, ...]:
-    """Rows with these probabilities, the most probable first; of equal ones the first candidate."""
+    """Rows with these probabilities, the most probable first.
+
+    Of equal ones the first candidate leads.
+    """
     shared = [replace(row, probability=float(p)) for row, p in zip(rows, probabilities, strict=True)]
     return tuple(sorted(shared, key=lambda row: -round(row.probability, 6)))
 
 
-def history_row(watched: Watched, state: State, case: Case | None) -> Array:
-    """Probabilities, statistic over its threshold, coefficient and its standard deviation."""
+def history_row(watched: WatchedModel, state: State, change: Change | None) -> Array:
+    """Probabilities, statistic, coefficient and its standard deviation."""
     ratio, gains = standing(watched, state)
-    if case is None or not case.rows:
+    if change is None or not change.rows:
         p, value, std = shares(float(gains.max()), gains), math.nan, math.nan
     else:
-        by = {row.effect: row.log_likelihood for row in case.rows}
+        by = {row.effect: row.log_likelihood for row in change.rows}
         now = np.array([by[effect] for effect in watched.candidates])
-        p, value, std = shares(change_of(case, gains), now, case.none), case.value, case.std
+        p, value, std = shares(change_of(change, gains), now, change.none), change.value, change.std
     return np.concatenate([p, [ratio, value, std]])
 
 
-def change_of(case: Case, gains: Array) -> float:
-    """Log-likelihood ratio of a change, 0 at the threshold; never less than at the alarm."""
-    return max(0.5 * (case.statistic**2 - case.threshold**2), float(gains.max()))
+def change_of(change: Change, gains: Array) -> float:
+    """Log-likelihood ratio of a change, 0 at the threshold.
+
+    It is never less than at the alarm.
+    """
+    return max(0.5 * (change.statistic**2 - change.threshold**2), float(gains.max()))
 
 
 # ------------------------------------------------------------------------ fits
 @dataclass(eq=False)
 class Fits:
-    """Candidates fitted to the samples of a state, each from the sample on from which it explains most.
+    """Candidates fitted to the samples of a state.
+
+    Each acts from the sample on from which it explains most.
 
     Attributes
     ----------
-    watched : Watched
+    watched : WatchedModel
         Healthy model.
     state : State
         Samples that are kept.
@@ -373,7 +397,7 @@ class Fits:
         Sample from which each candidate acts.
     """
 
-    watched: Watched
+    watched: WatchedModel
     state: State
     known_start: bool
     points: dict[Effect, Array] = field(default_factory=dict)
@@ -381,7 +405,7 @@ class Fits:
     stretches: dict[int, Stretch] = field(default_factory=dict)
     structures: dict[Effect | None, tuple[Structure, list[Array]]] = field(default_factory=dict)
     plain: dict[int, BlockFit] = field(default_factory=dict)
-    trials: dict[tuple[Effect, int], tuple[Trial, int]] = field(default_factory=dict)
+    trials: dict[tuple[Effect, int], tuple[Fitted, int]] = field(default_factory=dict)
 
     @property
     def oldest(self) -> int:
@@ -415,7 +439,7 @@ class Fits:
         return Motion(Structure(self.watched.base.structure.model), np.zeros(0), self.stretch(first).data)
 
     def structure(self, effect: Effect | None) -> tuple[Structure, list[Array]]:
-        """Healthy model with its parameters held and the candidate, and where its fit starts."""
+        """Healthy model, held, with a candidate; and where its fit starts."""
         if effect in self.structures:
             return self.structures[effect]
         s, theta = self.watched.numbers.structure, self.watched.healthy.theta
@@ -432,7 +456,7 @@ class Fits:
         return self.structures.setdefault(effect, (whole, starts))
 
     def fit(self, effect: Effect | None, first: int, evaluations: int = _FIT) -> BlockFit:
-        """Fit a candidate (None: the healthy model) to the samples from `first` on."""
+        """Fit a candidate (None: the healthy model) from a sample on."""
         whole, starts = self.structure(effect)
         steps = max(self.watched.base.substeps, 1 if whole.is_linear else 2)
         stretch = self.stretch(first)._replace(substeps=steps)
@@ -442,36 +466,36 @@ class Fits:
         return min(fits, key=lambda fit: fit.cost)
 
     def nothing(self, at: int) -> BlockFit:
-        """What the healthy model leaves from a sample on."""
+        """Fit of the healthy model alone from a sample on."""
         if at not in self.plain:
             self.plain[at] = self.fit(None, at)
         return self.plain[at]
 
-    def trial(self, effect: Effect, at: int, evaluations: int = _FIT) -> Trial:
-        """Fit a candidate from a sample on, unless it was with as many simulations."""
+    def trial(self, effect: Effect, at: int, evaluations: int = _FIT) -> Fitted:
+        """Fit a candidate from a sample on, unless that was done as well."""
         found, spent = self.trials.get((effect, at), (None, -1))
         if found is None or spent < evaluations:
             fit, gain = self.fit(effect, at, evaluations), -math.inf
             if math.isfinite(fit.cost):
                 self.points[effect], gain = fit.theta, 0.5 * (self.nothing(at).cost - fit.cost)
-            found = Trial(effect, fit, gain)
+            found = Fitted(effect, fit, gain)
             # a size that the samples do not determine, or that physics excludes, explains nothing
             if gain > 0 and not (found.determined and found.possible(self.watched.numbers.structure.model)):
                 found = found._replace(gain=0.0)
             self.trials[effect, at] = found, evaluations
         return found
 
-    def best(self, effect: Effect) -> Trial:
+    def best(self, effect: Effect) -> Fitted:
         """Fit of a candidate at its own sample."""
         return self.trial(effect, self.since[effect], 0)
 
     @property
-    def top(self) -> Trial:
+    def top(self) -> Fitted:
         """Candidate that gains most."""
         return max(map(self.best, self.since), key=lambda one: one.gain)
 
     def screened(self) -> list[Effect]:
-        """Return the candidates that lead after a first fit, and fit them to the end."""
+        """Return the candidates that lead after a first fit, well fitted."""
         for effect in self.since:
             self.trial(effect, self.since[effect], _SCREEN)
         order = sorted(self.since, key=lambda effect: -self.best(effect).gain)
@@ -483,7 +507,10 @@ class Fits:
         return leaders
 
     def move(self, leaders: Sequence[Effect], step: int, latest: int) -> None:
-        """Give each leader its own best sample: a few samples off, a wrong candidate can fit better."""
+        """Give each leader its own best sample.
+
+        A few samples off, a wrong candidate can fit better.
+        """
         while step:
             for effect in leaders:
                 for way in (-step, step):
@@ -499,61 +526,66 @@ class Fits:
                 self.since[effect] = at
 
 
-def name(watched: Watched, state: State, case: Case) -> Case:
-    """Fit the candidates to the samples since the change, and rank them."""
-    n, B, T = state.blocks * watched.block, watched.block, watched.period
-    before = {
+def name(watched: WatchedModel, state: State, change: Change) -> Change:
+    """Fit the candidates to the samples since a change, and rank them."""
+    known = {
         row.effect: np.array(list(row.coefficients.values()))
-        for row in case.rows
+        for row in change.rows
         if row.fitted and row.probability > _KEPT
     }
-    settle = n - 1 - case.crossed <= _SETTLE * T or not before
-    fits = Fits(watched, state, True, dict(before))
-    first, near = max(n - _FOLLOW * T, fits.oldest), False
+    age = state.blocks * watched.block - 1 - change.crossed
+    settle = age <= _SETTLE * watched.period or not known
+    fits = (_searched if settle else _followed)(watched, state, change, known)
+    found = [one for one in map(fits.best, fits.since) if math.isfinite(one.fit.cost)]
+    if not found:
+        return change
+    since = fits.since[fits.top.effect]
+    fair, misfit, none = weighed(found, fits.nothing(since).cost)
+    if not settle and not renames(misfit, change.misfit, fair[0].gain):
+        return change  # the change itself is changing, or going: the name that fitted well stays
+    rows, (_, gains) = ranked_fits(watched, state, fair), standing(watched, state)
+    p = shares(change_of(change, gains), np.array([row.log_likelihood for row in rows]), none)
+    kept = since if settle else change.since
+    return replace(change, rows=ranked(rows, p[1:]), misfit=misfit, none=none, since=kept)
+
+
+def _searched(watched: WatchedModel, state: State, change: Change, known: dict[Effect, Array]) -> Fits:
+    """Fit candidates, each from its best sample near the likely change."""
+    n, B, fits = state.blocks * watched.block, watched.block, Fits(watched, state, True, known)
     # filters need a past: the change began before the crossing, and some samples ago
-    latest = max(min(case.crossed, n - 2 * len(state.past) - 8), fits.oldest)
-    if settle:
-        # the sample of the change that left noise only is near the right one
-        near = case.misfit < levels().alarm_left
-        first = case.since if near else likely_change(watched, state)
-        first = int(np.clip(first, fits.oldest, latest))
-    elif case.since >= first:
-        first = case.since
-    fits.known_start = settle or first == case.since
-    fits.since = dict.fromkeys(_simple(watched) if settle else before, first)
-    leaders = fits.screened()
-    for again in (True, False):
-        if settle:
-            fits.move(leaders, B // 2 if near else 2 * B, latest)
-        top = fits.top
-        others = [e for e in watched.candidates if e.place in {one.place for one in leaders}]
-        reached = top.fit.cost < chi2.isf(_LEFT, max(top.fit.points, 1)) and top.gain > 0
-        if reached or not again or fits.since.keys() >= set(others):
+    latest = max(min(change.crossed, n - 2 * len(state.past) - 8), fits.oldest)
+    # the sample from which a fit left noise only is near the right one
+    near = change.misfit < levels().alarm_left
+    first = change.since if near else likely_change(watched, state)
+    fits.since = dict.fromkeys(_simple(watched), int(np.clip(first, fits.oldest, latest)))
+    for wider in (True, False):
+        leaders = fits.screened()
+        fits.move(leaders, B // 2 if near else 2 * B, latest)
+        top, places = fits.top, {effect.place for effect in leaders}
+        if not wider or (top.fit.cost < chi2.isf(_LEFT, max(top.fit.points, 1)) and top.gain > 0):
             break
         # more than noise is left: all laws at the places that lead
+        others = [effect for effect in watched.candidates if effect.place in places]
         fits.since = dict.fromkeys(others, fits.since[top.effect]) | fits.since
-        leaders = fits.screened()
-    trials = [one for one in map(fits.best, fits.since) if math.isfinite(one.fit.cost)]
-    if not trials:
-        return case
-    since = fits.since[top.effect]
-    fair, misfit, none = weighed(trials, fits.nothing(since).cost)
-    if not settle and not renames(misfit, case.misfit, fair[0].gain):
-        return case  # the change itself is changing, or going: the name that fitted well stays
-    rows = ranked_fits(watched, state, fair)
-    _, gains = standing(watched, state)
-    p = shares(change_of(case, gains), np.array([row.log_likelihood for row in rows]), none)
-    kept = since if settle else case.since
-    return replace(case, rows=ranked(rows, p[1:]), misfit=misfit, none=none, since=kept)
+    return fits
 
 
-def _simple(watched: Watched) -> list[Effect]:
+def _followed(watched: WatchedModel, state: State, change: Change, known: dict[Effect, Array]) -> Fits:
+    """Fit the candidates that were likely to the last periods."""
+    fits = Fits(watched, state, True, dict(known))
+    first = max(state.blocks * watched.block - _FOLLOW * watched.period, fits.oldest, change.since)
+    fits.known_start, fits.since = first == change.since, dict.fromkeys(known, first)
+    fits.screened()
+    return fits
+
+
+def _simple(watched: WatchedModel) -> list[Effect]:
     """Candidates of one coefficient, or all where there are none."""
     return [e for e in watched.candidates if len(e.free) == 1] or list(watched.candidates)
 
 
-def ranked_fits(watched: Watched, state: State, fair: Sequence[Trial]) -> list[MonitorRow]:
-    """Row of each candidate: its fit, or the linear estimate of one that was not worth it."""
+def ranked_fits(watched: WatchedModel, state: State, fair: Sequence[Fitted]) -> list[MonitorRow]:
+    """Row of each candidate: its fit, or the linear estimate."""
     by, worst = {one.effect: one for one in fair}, min(one.gain for one in fair)
     rows = []
     for row in _linear(watched, state):
@@ -569,8 +601,11 @@ def ranked_fits(watched: Watched, state: State, fair: Sequence[Trial]) -> list[M
     return rows
 
 
-def likely_change(watched: Watched, state: State) -> int:
-    """Sample at which the likelihood of a change of one column is largest, the start of a block."""
+def likely_change(watched: WatchedModel, state: State) -> int:
+    """Sample at which a change of one column is likeliest.
+
+    It is the start of a block.
+    """
     kept = min(state.blocks, BLOCKS)
     N, V = np.cumsum(state.sums[-kept:][::-1], axis=0)[::-1].transpose(1, 0, 2)
     wide = np.where(V > 1e-200, V, np.inf) * np.maximum(state.scatter.min(axis=0), 1.0)
@@ -616,12 +651,12 @@ class Adequacy(Row):
         return textwrap.fill(self.sentence, 80)
 
 
-def adequacy_of(watched: Watched, state: State, block: Block) -> Adequacy:
+def adequacy_of(watched: WatchedModel, state: State, block: Block) -> Adequacy:
     """Judge the healthy model by the samples that were learned from.
 
     Parameters
     ----------
-    watched : Watched
+    watched : WatchedModel
         Healthy model.
     state : State
         After these samples.
@@ -680,8 +715,11 @@ def judged(
     return Adequacy(*fits, moved, missing, score, False, sentence)
 
 
-def _explained(watched: Watched, block: Block) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Fit of each output in percent by the model as given and with its parameters moved, offsets apart."""
+def _explained(watched: WatchedModel, block: Block) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Fit of each output in percent, offsets apart.
+
+    First that of the model as given, then that with its parameters moved.
+    """
     numbers, h, use = watched.numbers, watched.healthy, block.use > 0
     data = Measurement(block.inputs.T, block.outputs.T, dt=watched.base.dt, hold=watched.base.hold)
     given = numbers.theta.copy()
@@ -698,50 +736,50 @@ def _explained(watched: Watched, block: Block) -> tuple[tuple[float, ...], tuple
     return found[0], found[1]
 
 
-# ------------------------------------------------------------------------ course of a case
-def rung(watched: Watched, state: State) -> Case:
+# ------------------------------------------------------------------------ course of a change
+def rung(watched: WatchedModel, state: State) -> Change:
     """A change whose threshold was crossed with the last block."""
     n = state.blocks * watched.block
     square = statistics(watched, state)
     m, k = np.unravel_index(int(np.argmax(square / watched.squares)), square.shape)
     first = next_look(0, watched.period, n)
-    return Case(
+    return Change(
         n - 1, float(np.sqrt(square[m, k])), float(watched.levels[m, k]), n + first,
         n + _AGAIN * watched.period, likely_change(watched, state),
     )  # fmt: skip
 
 
-def attend(watched: Watched, state: State, case: Case) -> tuple[State, Case | None, Alarm | None]:
+def attend(watched: WatchedModel, state: State, change: Change) -> tuple[State, Change | None, Alarm | None]:
     """Do what is due with a change: name it, follow its size, or end it.
 
     Returns
     -------
     state : State
         Healthy again where the change is gone.
-    case : Case or None
+    change : Change or None
         None where it is gone.
     ended : Alarm or None
         The alarm that has ended.
     """
     n, T = state.blocks * watched.block, watched.period
-    if n >= case.look:
-        case = _looked(watched, state, case)
-    if n < case.follow:
-        return state, case, None
-    case = replace(case, follow=n + _AGAIN * T)
+    if n >= change.look:
+        change = _looked(watched, state, change)
+    if n < change.follow:
+        return state, change, None
+    change = replace(change, follow=n + _AGAIN * T)
     start = n - _FOLLOW * T
-    if case.alarm is None or start < case.since:
-        return state, case, None
+    if change.alarm is None or start < change.since:
+        return state, change, None
     # the named effect in the last periods alone: it may grow, or be gone
-    alarm, before = case.alarm, np.array(list(case.alarm.coefficients.values()))
+    alarm, before = change.alarm, np.array(list(change.alarm.coefficients.values()))
     fits = Fits(watched, state, False, {alarm.effect: before})
     start = max(start, fits.oldest)
     fit, plain = fits.fit(alarm.effect, start), fits.fit(None, start)
     if not math.isfinite(fit.cost) or not np.isfinite(fit.std[0]):
-        return state, case, None
-    case = replace(case, value=float(fit.theta[0]), std=float(fit.std[0]))
-    if not is_gone(case.value, case.std, float(before[0]), fit.cost, plain.cost, plain.points):
-        return state, case, None
+        return state, change, None
+    change = replace(change, value=float(fit.theta[0]), std=float(fit.std[0]))
+    if not is_gone(change.value, change.std, float(before[0]), fit.cost, plain.cost, plain.points):
+        return state, change, None
     alarm = replace(alarm, ended=n * watched.base.dt)
     alarm = replace(alarm, sentence=_sentence(alarm, watched.base.structure.model))
     state = restarted(state, plain.last)
@@ -749,31 +787,35 @@ def attend(watched: Watched, state: State, case: Case) -> tuple[State, Case | No
     return state._replace(**nothing), None, alarm
 
 
-def _looked(watched: Watched, state: State, case: Case) -> Case:
-    """Rank the candidates; ring where a place is clear twice in a row, or patience is at its end."""
+def _looked(watched: WatchedModel, state: State, change: Change) -> Change:
+    """Rank the candidates, and ring where it is time.
+
+    A place is clear twice in a row, or patience is at its end.
+    """
     n, T, dt = state.blocks * watched.block, watched.period, watched.base.dt
-    age, place = n - 1 - case.crossed, case.place
-    case = name(watched, state, case)
+    age, place = n - 1 - change.crossed, change.place
+    change = name(watched, state, change)
     look = next_look(age, T, 24 * T)
-    case = replace(case, look=case.crossed + 1 + look)
-    if not case.rows:
-        return case
-    case = replace(case, place=clear_place(case.rows, case.misfit))
-    if case.alarm is None and not (case.place and case.place == place) and age < PATIENCE * T:
-        return case
-    case = replace(case, look=max(case.look, case.crossed + 1 + min(2 * age, age + 24 * T)))
-    row, alike = simplest(case.rows)
+    change = replace(change, look=change.crossed + 1 + look)
+    if not change.rows:
+        return change
+    change = replace(change, place=clear_place(change.rows, change.misfit))
+    if change.alarm is None and not (change.place and change.place == place) and age < PATIENCE * T:
+        return change
+    change = replace(change, look=max(change.look, change.crossed + 1 + min(2 * age, age + 24 * T)))
+    row, alike = simplest(change.rows)
     first = next(iter(row.coefficients))
-    sample = n - 1 if case.alarm is None else case.alarm.sample
+    sample = n - 1 if change.alarm is None else change.alarm.sample
     alarm = Alarm(
-        sample, sample * dt, case.crossed * dt, case.since, case.since * dt, row.effect, row.coefficients,
-        row.std, row.probability, case.statistic, case.threshold, watched.false_alarms, None, "",
+        sample, sample * dt, change.crossed * dt, change.since, change.since * dt, row.effect,
+        row.coefficients, row.std, row.probability, change.statistic, change.threshold, watched.false_alarms,
+        None, "",
     )  # fmt: skip
     others = tuple(other.effect.kind for other in alike if other is not row)
-    none = 0.0 if case.none == -math.inf else 1.0 - sum(one.probability for one in case.rows)
+    none = 0.0 if change.none == -math.inf else 1.0 - sum(one.probability for one in change.rows)
     sentence = _sentence(alarm, watched.base.structure.model, others, none)
     return replace(
-        case, alarm=replace(alarm, sentence=sentence), value=row.coefficients[first], std=row.std[first]
+        change, alarm=replace(alarm, sentence=sentence), value=row.coefficients[first], std=row.std[first]
     )
 
 

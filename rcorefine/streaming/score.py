@@ -1,4 +1,4 @@
-"""Score test of a stream: how far the healthy model is from the samples, block by block.
+"""Score test of a stream: samples against the healthy model, by block.
 
 The observer of the healthy model leaves innovations e. Whitened, of unit variance, they are r; the same
 filter makes s of the derivatives of the outputs by the parameters of the model. A change of a parameter is
@@ -111,7 +111,7 @@ def thresholds(rate: float, keep: Array, columns: int) -> Array:
 
 
 def energy_levels(levels: Array, keep: Array, power: Array, outputs: int) -> Array:
-    """Return the levels of the energy, which are as rare as those of a normal number.
+    """Return levels of the energy as rare as those of a normal number.
 
     Parameters
     ----------
@@ -213,19 +213,16 @@ class Numbers(NamedTuple):
 
 def numbers_of(base: Base) -> Numbers:
     """Return the parameters of the model as coefficients."""
-    s = base.structure
+    s, own = base.structure, base.theta.size
     named = {(e.kind, e.place) for e in s.effects}
-    loose: list[tuple[Effect, float]] = []
-    for effect in effect_library(s.model):
-        linear = (effect.spec.is_parameter or effect.spec.relative) and len(effect.free) == 1
-        size = nominal_size(s, effect) if linear else 0.0
-        if 0 < size < np.inf and (effect.kind, effect.place) not in named:
-            loose.append((effect, base.tolerance * size))
-    offsets = [Effect(OutputOffset.name, label) for label in s.linear_model.output_labels]
+    linear = [e for e in effect_library(s.model) if e.spec.is_parameter or e.spec.relative]
+    sizes = [(e, nominal_size(s, e)) for e in linear if len(e.free) == 1 and (e.kind, e.place) not in named]
+    loose = [(e, base.tolerance * size) for e, size in sizes if 0 < size < np.inf]
     # the learning phase alone finds the offsets
+    offsets = [Effect(OutputOffset.name, label) for label in s.linear_model.output_labels]
     loose += [(e, 0.0) for e in offsets if (e.kind, e.place) not in named]
     whole = Structure(s.model, [*s.effects, *(e for e, _ in loose)], constants=s.constants)
-    p, own = whole.n_parameters, base.theta.size
+    p = whole.n_parameters
     # covariance: as given for what was estimated, tolerance^2 for the rest
     P = np.zeros((p, p))
     if base.covariance is not None:
@@ -241,7 +238,7 @@ def numbers_of(base: Base) -> Numbers:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Healthy:
-    """What the learning phase found.
+    """Findings of the learning phase.
 
     Attributes
     ----------
@@ -304,8 +301,10 @@ def relative_variance(law: Array, square: Array, power: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Watched:
-    """The healthy model and its windows: all that does not change with the samples.
+class WatchedModel:
+    """The healthy model and its windows.
+
+    This is all that does not change with the samples.
 
     Attributes
     ----------
@@ -356,7 +355,7 @@ class Watched:
 
     @cached_property
     def levels(self) -> Array:
-        """Threshold of each window and column, (M, k); the last column is the energy."""
+        """Threshold of each window and column, (M, k), the energy last."""
         k = self.numbers.columns.size + 1
         levels = np.repeat(thresholds(self.false_alarms / PER, self.keep, k)[:, None], k, axis=1)
         levels[:, -1] = self.healthy.energy
@@ -386,7 +385,7 @@ class Watched:
 
     @cached_property
     def fade(self) -> tuple[Array, Array]:
-        """Weights of the samples of a block in each window, and their squares, (M, B)."""
+        """Weights of the samples of a block in each window, and squared."""
         back = np.arange(self.block)[::-1]
         return self.keep[:, None] ** back, self.keep[:, None] ** (2 * back)
 
@@ -428,7 +427,10 @@ def keep_of(period: int) -> Array:
 
 
 def transition(structure: Structure, theta: Array, dt: float) -> tuple[Array, Array]:
-    """Transition of the state over a sample (n, n), and the output matrix (n_y, n)."""
+    """Transition of the state over a sample, and the output matrix.
+
+    The shapes are (n, n) and (n_y, n).
+    """
     n = structure.n_states
     Phi = structure.discretize(theta, dt, derivatives=False).M[0, -n:, :n] if n else np.zeros((0, 0))
     return Phi, structure.matrices(theta).C.astype(float)
@@ -437,8 +439,8 @@ def transition(structure: Structure, theta: Array, dt: float) -> tuple[Array, Ar
 # ------------------------------------------------------------------------ learning
 def learn(
     base: Base, candidates: tuple[Effect, ...], period: int, false_alarms: float, block: Block
-) -> Watched:
-    """Find parameters within their tolerance, offsets, observer and noise of healthy samples.
+) -> WatchedModel:
+    """Learn parameters, offsets, observer and noise of healthy samples.
 
     Raises
     ------
@@ -486,7 +488,7 @@ def learn(
         theta, wide, found.gain, found.ratio, fit.x0, filters, whitener.scales, found.law, found.middle,
         found.power, max(float(power.std()), _TINY), energy, settle,
     )  # fmt: skip
-    return Watched(base, numbers, healthy, candidates, period, false_alarms, len(block.inputs))
+    return WatchedModel(base, numbers, healthy, candidates, period, false_alarms, len(block.inputs))
 
 
 def _substeps(base: Base, numbers: Numbers) -> int:
@@ -496,7 +498,10 @@ def _substeps(base: Base, numbers: Numbers) -> int:
 def _with_offsets(
     numbers: Numbers, loose: NDArray[np.intp], prior: tuple[Array, Array], data: Measurement
 ) -> tuple[Array, Array]:
-    """Return the prior of the parameters with that of the offsets, which is as good as none."""
+    """Return the prior of the parameters with that of the offsets.
+
+    The latter is as good as none.
+    """
     root, inside = np.zeros((loose.size, loose.size)), np.isin(loose, numbers.free)
     root[np.ix_(inside, inside)] = prior[1]
     size = 1e3 * (np.abs(data.outputs).max(axis=1) + _TINY)
@@ -506,14 +511,17 @@ def _with_offsets(
 
 
 def _root_of(P: Array, least: float = 0.0) -> Array:
-    """Return a root of a covariance by that of its correlation: units may differ by decades."""
+    """Return a root of a covariance by that of its correlation.
+
+    Units may differ by decades.
+    """
     size = np.sqrt(np.maximum(np.diag(P), _TINY))
     values, vectors = np.linalg.eigh(P / np.outer(size, size))
     return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, least)))
 
 
 def _check_outputs(block: Block, labels: Any) -> None:
-    """Refuse a learning phase without an input, or with a missing or constant output."""
+    """Refuse a learning phase with a missing signal or a constant output."""
     if not block.known.all():
         raise DataError(
             f"an input is missing at sample {int(np.argmin(block.known))}, in the learning phase of "
@@ -562,7 +570,10 @@ def _likeliest_observer(
     base: Base, numbers: Numbers, theta: Array, data: Measurement, use: NDArray[np.bool_], period: int,
     most: float = math.inf,
 ) -> _Observer:  # fmt: skip
-    """Return the observer of the smallest gain that the likelihood does not clearly reject."""
+    """Return the likeliest observer.
+
+    It has the smallest gain that the likelihood does not clearly reject.
+    """
     best: _Observer | None = None
     ratios = [ratio for ratio in RATIOS if ratio <= max(most, RATIOS[1])]
     for near in (2.0, math.sqrt(2.0), 1.0):  # a coarse grid, then finer ones around its best
@@ -718,7 +729,7 @@ class State(NamedTuple):
     ring_x: Array
 
 
-def begin(watched: Watched) -> State:
+def begin(watched: WatchedModel) -> State:
     """State before the first sample."""
     s, h = watched.numbers.structure, watched.healthy
     n, ny, nw, p = s.n_states, s.n_outputs, s.n_inputs, s.n_parameters
@@ -733,8 +744,11 @@ def begin(watched: Watched) -> State:
     )  # fmt: skip
 
 
-def _observe(watched: Watched, state: State, block: Block) -> tuple[Array, Array, State]:
-    """Advance the observer; return outputs (B, n_y), their derivatives (B, n_y, p), and the state."""
+def _observe(watched: WatchedModel, state: State, block: Block) -> tuple[Array, Array, State]:
+    """Advance the observer over a block.
+
+    Return outputs (B, n_y), their derivatives (B, n_y, p), and the state.
+    """
     s, b, K = watched.numbers.structure, watched.base, len(state.before)
     # the input before the block begins its first step, those before that a delay brings in
     rows, first = np.concatenate([state.before, block.inputs]), max(K - 1, 0)
@@ -769,7 +783,7 @@ def _observe(watched: Watched, state: State, block: Block) -> tuple[Array, Array
     return into.outputs[lead:], into.sensitivity[lead:], after
 
 
-def _whitened(watched: Watched, state: State, e: Array, use: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _whitened(watched: WatchedModel, state: State, e: Array, use: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Whiten innovations (B, n_y, 1 + p), a slow mean taken off.
 
     The memory of the filters follows.
@@ -784,8 +798,10 @@ def _whitened(watched: Watched, state: State, e: Array, use: NDArray[np.bool_]) 
     return white, past
 
 
-def _calm(watched: Watched, state: State, block: Block) -> tuple[NDArray[np.bool_], Array, int]:
-    """Return which samples (B, n_y) count after gaps, the doubt of the state, and since when it is lost.
+def _calm(watched: WatchedModel, state: State, block: Block) -> tuple[NDArray[np.bool_], Array, int]:
+    """Return which samples (B, n_y) count after gaps.
+
+    The doubt of the state follows, and since when it is lost.
 
     The error of the state goes on as x = Phi (I - K C) x; a correction that is missing leaves it without the
     noise that K would bring in, and with what K would have taken off.
@@ -816,12 +832,12 @@ def _calm(watched: Watched, state: State, block: Block) -> tuple[NDArray[np.bool
     return calm, D, lost
 
 
-def advance(watched: Watched, state: State, block: Block, healthy: bool) -> tuple[State, float]:
+def advance(watched: WatchedModel, state: State, block: Block, healthy: bool) -> tuple[State, float]:
     """Take a block.
 
     Parameters
     ----------
-    watched : Watched
+    watched : WatchedModel
         Healthy model and windows.
     state : State
         Before; left as it is.
@@ -890,7 +906,10 @@ def _pushed(ring: Any, new: Any) -> Any:
 
 
 class _Scores(NamedTuple):
-    """Scores (B, k), their variances (B, k), products with doubts (B, k, f), clipped squares (B, n_y)."""
+    """Scores of a block.
+
+    Scores (B, k), variances (B, k), products with doubts (B, k, f), clipped squares (B, n_y).
+    """
 
     score: Array
     info: Array
@@ -898,7 +917,7 @@ class _Scores(NamedTuple):
     power: Array
 
 
-def _scores(watched: Watched, white: Array, calm: NDArray[np.bool_]) -> _Scores:
+def _scores(watched: WatchedModel, white: Array, calm: NDArray[np.bool_]) -> _Scores:
     """Multiply what a block left with its derivatives, and judge its energy."""
     h = watched.healthy
     white = white * calm[:, :, None]
@@ -916,8 +935,11 @@ def _scores(watched: Watched, white: Array, calm: NDArray[np.bool_]) -> _Scores:
     return _Scores(score, info, shared, power)
 
 
-def variances(watched: Watched, state: State) -> Array:
-    """Return the variance of the scores by chance, (M, k); inf where nothing is seen."""
+def variances(watched: WatchedModel, state: State) -> Array:
+    """Return the variance of the scores by chance, (M, k).
+
+    It is inf where nothing is seen.
+    """
     wide = state.V + np.sum(state.shared**2, axis=2)
     # the level of the noise is known from so many samples: it moves all squares of a window alike
     weight = watched.healthy.middle.size / (1 - watched.keep) ** 2
@@ -926,8 +948,11 @@ def variances(watched: Watched, state: State) -> Array:
     return np.where(wide <= 1e-200, np.inf, wide)
 
 
-def statistics(watched: Watched, state: State) -> Array:
-    """Return the squared statistics, (M, k). Less energy than usual is no change."""
+def statistics(watched: WatchedModel, state: State) -> Array:
+    """Return the squared statistics, (M, k).
+
+    Less energy than usual is no change.
+    """
     N, energy = state.N.copy(), state.N[:, -1]
     # its level is that of a full window
     full = state.V[:, -1] > 0.5 * watched.healthy.middle.size / (1 - watched.keep**2)
@@ -935,8 +960,10 @@ def statistics(watched: Watched, state: State) -> Array:
     return N**2 / variances(watched, state)
 
 
-def _followed(watched: Watched, state: State, power: Array, calm: NDArray[np.bool_], square: Array) -> State:
-    """Follow the level of the noise, and the scatter of the statistics beyond theory."""
+def _followed(
+    watched: WatchedModel, state: State, power: Array, calm: NDArray[np.bool_], square: Array
+) -> State:
+    """Follow the level of the noise, and the scatter of the statistics."""
     seen = calm.sum(axis=0)
     mean = np.sum(power * calm, axis=0) / np.maximum(seen, 1) / MEAN_SQUARE
     level = state.level + (mean - 1) * state.level * seen / _MEMORY
@@ -947,7 +974,7 @@ def _followed(watched: Watched, state: State, power: Array, calm: NDArray[np.boo
     )
 
 
-def found_anew(watched: Watched, state: State) -> State:
+def found_anew(watched: WatchedModel, state: State) -> State:
     """Find the state again some time after an input was missing.
 
     The samples since then determine it with all parameters held.
@@ -979,7 +1006,10 @@ def restarted(state: State, x: Array) -> State:
 
 
 def recent(state: State, blocks: int) -> Block:
-    """Samples of the last blocks, those that were set aside included where they turned out to be many."""
+    """Samples of the last blocks.
+
+    Those that were set aside count where they turned out to be many.
+    """
     rings: tuple[Any, ...] = state.ring_w, state.ring_y, state.ring_use
     w, y, use = (ring[-blocks:].reshape(-1, ring.shape[2]) for ring in rings)
     there = (use == 1) | ((use == 2) & ((use == 2).sum() > _ALONE))

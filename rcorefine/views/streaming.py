@@ -34,7 +34,7 @@ def monitor_content(monitor: Monitor) -> Content:
     n, name = monitor.n_samples, monitor._base.structure.linear_model.name
     memory, state = monitor._memory, monitor.alarm
     busy = "a threshold was crossed, the effect is not identified yet"
-    head = "ALARM" if state is not None else busy if memory.case is not None else "no alarm"
+    head = "ALARM" if state is not None else busy if memory.change is not None else "no alarm"
     if memory.watched is None:
         head = f"learning until sample {monitor.learn}"
     title = f"Monitor of {name!r}: {head}; {n} samples so far ({n * monitor.dt:.6g} s)"
@@ -45,9 +45,7 @@ def monitor_content(monitor: Monitor) -> Content:
         figure = with_error(row.coefficients[first], row.std[first], unit)
         rows.append([row.effect.label, figure, f"{row.probability:.3f}", number(row.log_likelihood, 3)])
     notes = [state.sentence] if state is not None else []
-    if monitor.adequacy is not None and monitor.adequacy.adequate:
-        notes.append(monitor.adequacy.sentence)
-    notes += list(monitor.remarks)
+    notes += [] if monitor.adequacy is None else [monitor.adequacy.sentence]
     notes += [f"Ended: {alarm.sentence}" for alarm in monitor.past_alarms[-2:]]
     if memory.watched is not None:
         notes += _healthy_notes(monitor, memory.watched.healthy)
