@@ -48,7 +48,8 @@ from .models.ports import Port
 from .models.reading import read_model
 from .refinement import EstimatedParameter, Refinement, refine
 from .streaming import RCORefiner
-from .streaming.monitor import Alarm, Monitor
+from .streaming.monitor import Monitor
+from .streaming.naming import Alarm
 from .systems import d2c
 from .version import __version__ as __version__
 

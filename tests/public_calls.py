@@ -1026,11 +1026,8 @@ CALLS: dict[str, Call] = {
             "dt": is_positive,
             "false_alarms": is_positive,
             "learn": is_whole,
-            "disturbance": is_level,
             "hold": is_text,
             "missing": is_text,
-            "windows": is_numbers,
-            "patience": is_level,
         },
     ),
     "Monitor.load": Call(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import control as ct
 import matplotlib.pyplot as plt
 import numpy as np
@@ -58,8 +60,10 @@ def test_a_statistic_that_is_not_a_number_is_an_error_and_changes_nothing():
     w, y, _ = exact(chain().system, 300)
     monitor = rco.Monitor(chain(), [rco.Effect("stiffness", "link1")], dt=DT, learn=200)
     monitor.update(w[:, :250], y[:, :250])
-    monitor._stream.memory["doubt"][:] = np.nan
-    with pytest.raises(rco.DivergenceError, match="statistic at sample 250 is not a number"):
+    memory = monitor._memory
+    shared = np.full_like(memory.state.shared, np.nan)
+    monitor._memory = replace(memory, state=memory.state._replace(shared=shared))
+    with pytest.raises(rco.DivergenceError, match="statistic at sample 248 is not a number"):
         monitor.update(w[:, 250:], y[:, 250:])
     assert monitor.n_samples == 250
 

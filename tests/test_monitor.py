@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import control as ct
@@ -23,10 +22,8 @@ from scipy.signal import lfilter
 from scipy.stats import binom, chi2, poisson
 
 import rcorefine as rco
-import rcorefine.streaming.monitor.monitor as watching
-from rcorefine.streaming.monitor import learning
-from rcorefine.streaming.monitor.saving import content_of
-from rcorefine.streaming.monitor.stream import Stream
+import rcorefine.streaming.monitor as watching
+from rcorefine.streaming import score
 from rcorefine.streaming.persistence import write_file
 from rcorefine.streaming.samples import whole_block
 
@@ -119,18 +116,18 @@ def test_crossing_rate_is_that_of_a_sampled_ornstein_uhlenbeck_process(keep, lev
     z[:, 1:] = lfilter([1.0], [1.0, -keep], e, axis=1, zi=keep * start)[0]
     quiet = np.mean(np.abs(z).max(axis=1) < level)
     # stationary start: the first sample alone may lie above
-    predicted = np.exp(-learning.crossing_rate(level, keep) * N)
+    predicted = np.exp(-score.crossing_rate(level, keep) * N)
     assert abs(quiet - predicted) < 4 * np.sqrt(predicted * (1 - predicted) / paths) + 0.12 * (1 - predicted)
 
 
 def test_thresholds_share_out_the_stated_rate():
     keep = 1 - 1 / np.array([10.0, 100.0, 1000.0])
-    levels = learning.threshold(1e-6, keep, 32)
-    assert sum(32 * learning.crossing_rate(b, g) for b, g in zip(levels, keep, strict=True)) == pytest.approx(
+    levels = score.thresholds(1e-6, keep, 32)
+    assert sum(32 * score.crossing_rate(b, g) for b, g in zip(levels, keep, strict=True)) == pytest.approx(
         1e-6, rel=1e-3
     )
     assert (np.diff(levels) < 0).all()
-    assert (learning.threshold(1e-8, keep, 32) > levels).all()
+    assert (score.thresholds(1e-8, keep, 32) > levels).all()
 
 
 # --------------------------------------------------------------------- what it says
@@ -163,7 +160,7 @@ def test_small_change_has_the_size_of_the_sensitivity():
     # 0.1 % of a stiffness at 1e-4 noise: far below what bends the linear scores
     plant = Chain(3, n=3, sensor="velocity")
     w, y = plant.record(step(2500, 600, loss=0.001), noise=2e-4)
-    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=2000, patience=1.0)
+    monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=2000)
     monitor.update(w, y)
     row = monitor.ranking[0]
     assert (row.effect.kind, row.effect.place) == ("stiffness", f"link{plant.link + 1}")
@@ -266,7 +263,7 @@ def test_refined_model_with_friction_inside_is_healthy():
     assert monitor.alarm.effect.kind == "stiffness"
     assert abs(monitor.alarm.coefficients["stiffness"] + 10) < 3
     # without the friction the model is wrong from the start, and that is said
-    bare = rco.Monitor(model, candidates, dt=dt, learn=1500, disturbance=0.0)
+    bare = rco.Monitor(model, candidates, dt=dt, learn=1500)
     bare.update(w[:3000], y[:3000])
     assert "at link1 or a similar effect is missing" in bare.remarks[0]
     assert "refine" in str(bare)
@@ -324,9 +321,11 @@ def test_what_learning_leaves_open_widens_the_statistics_by_as_much(streams):
         springs = [rco.Effect("stiffness", f"link{i}") for i in (1, 2)]
         monitor = rco.Monitor(model, springs, dt=plant.dt, learn=1000, tolerance=0.01)
         monitor.update(w, y)
-        memory = monitor._stream.memory
-        z.append((memory["N"] / np.sqrt(memory["V"] + memory["doubt"]))[-1, 0])
-        assert memory["doubt"][-1, 0] > 0.5 * memory["V"][-1, 0]  # without it the test would say nothing
+        watched, state = monitor._memory.watched, monitor._memory.state
+        k = watched.seen_in[0]
+        doubt = np.sum(state.shared[-1, k] ** 2)
+        z.append(state.N[-1, k] / np.sqrt(state.V[-1, k] + doubt))
+        assert doubt > 0.5 * state.V[-1, k]  # without it the test would say nothing
     low, high = chi2.ppf([0.001, 0.999], len(z))
     assert low < np.sum(np.square(z)) < high
 
@@ -352,7 +351,7 @@ def test_says_what_is_missing_and_takes_in_what_refine_found(rng):
     before = rco.Measurement(w[:1500], y[:1500], dt=dt)
     kinds = ("stiffness", "damping", "coulomb_friction", "cubic_stiffness")
     candidates = [rco.Effect(kind, "link1") for kind in kinds]
-    bare = rco.Monitor(model, candidates, dt=dt, learn=2000, disturbance=0.0)
+    bare = rco.Monitor(model, candidates, dt=dt, learn=2000)
     assert bare.adequacy is None
     bare.update(w[:2000], y[:2000])
     assert not bare.adequacy.adequate
@@ -385,15 +384,14 @@ def test_takes_in_what_a_diagnosis_refines_and_its_covariance(rng):
     monitor = rco.Monitor(refined, [friction, rco.Effect("stiffness", "link1")], dt=dt, learn=1500)
     monitor.update(w, y)
     assert monitor.alarm is None
-    stream = monitor._stream
-    effects = stream.observer.structure.effects
-    at = effects.index(friction)
-    force = float(stream.observer.structure.value(stream.observer.theta, at, "force"))
+    watched = monitor._memory.watched
+    structure, healthy = watched.numbers.structure, watched.healthy
+    at = structure.effects.index(friction)
+    force = float(structure.value(healthy.theta, at, "force"))
     row = refined.parameter("force")
     assert abs(force - 0.2) < 3 * row.std  # moved on, with what the estimate is worth
     assert 0 < abs(force - row.value) < 3 * row.std
-    column = stream.bank.candidates.index(friction)
-    assert column in stream.bank.owner[stream.bank.numbers]
+    assert np.any(healthy.root[structure.position(at, "force")])
 
 
 def test_noise_that_does_not_follow_the_signal_is_not_taken_to():
@@ -401,8 +399,8 @@ def test_noise_that_does_not_follow_the_signal_is_not_taken_to():
     w, y = plant.grown(np.zeros(2000), 1000)
     monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=2000)
     monitor.update(w, y)
-    constant, square, mean = monitor._stream.healthy.noise[0]
-    power = monitor._stream.healthy.power[0]
+    constant, square, mean = monitor._memory.watched.healthy.law[0]
+    power = monitor._memory.watched.healthy.power[0]
     # the share of a square has a standard deviation of about 2 % of the variance in 2000 samples
     assert (square + mean) * power < 0.1 * constant
 
@@ -435,11 +433,8 @@ def test_the_stream_may_be_cut_anywhere(missing):
     for other in (pieces, single):
         assert str(other.alarm) == str(whole.alarm)
         assert np.allclose(_figures(other), _figures(whole), rtol=1e-9, atol=1e-12, equal_nan=True)
-        for key, value in whole._stream.memory.items():
-            scale = max(1.0, float(np.abs(np.nan_to_num(value)).max(initial=0)))
-            assert np.allclose(
-                other._stream.memory[key], value, rtol=1e-12, atol=1e-12 * scale, equal_nan=True
-            ), key
+        for key, value in whole._memory.state._asdict().items():
+            assert np.array_equal(getattr(other._memory.state, key), value), key
 
 
 def test_gaps_ring_no_alarm_and_damage_is_found_all_the_same(rng):
@@ -551,13 +546,13 @@ def test_saved_or_pickled_in_the_middle_it_goes_on_the_same(tmp_path):
         assert np.array_equal(_figures(other), _figures(monitor), equal_nan=True)
     with pytest.raises(FileNotFoundError):
         rco.Monitor.load(tmp_path / "none.npz")
-    content = content_of(monitor)
+    content = monitor.__getstate__()
     del content["layout"]  # as in files of version 0.1
     write_file(tmp_path / "old.npz", content)
     with pytest.raises(rco.DataError, match=r"another version of rcorefine .* let it learn"):
         rco.Monitor.load(tmp_path / "old.npz")
     for substeps in (1e308, 2**40, 0, True):
-        content = content_of(monitor)
+        content = monitor.__getstate__()
         content["base"] = {**content["base"], "substeps": substeps}
         write_file(tmp_path / "far.npz", content)
         with pytest.raises(rco.DataError, match=r"substeps of the model .*the file is damaged"):
@@ -617,8 +612,9 @@ def test_a_failed_update_changes_nothing(start):
             monitor.update(w[k : k + 100], y[k : k + 100])
     assert str(one.alarm) == str(two.alarm)
     assert np.array_equal(_figures(one), _figures(two), equal_nan=True)
-    for key, value in two._stream.memory.items():
-        assert np.array_equal(one._stream.memory[key], value, equal_nan=True), key
+    if two._memory.state is not None:
+        for key, value in two._memory.state._asdict().items():
+            assert np.array_equal(getattr(one._memory.state, key), value), key
 
 
 @pytest.mark.parametrize(
@@ -780,17 +776,14 @@ def test_the_learned_noise_level_is_not_forgotten_for_that_of_the_first_samples(
         plant = Chain(seed, n=2)
         w, y = plant.record(np.zeros(500))
         monitor = rco.Monitor(plant.model, few(plant), dt=plant.dt, learn=500)
-        block = whole_block(w[:, None], y[:, None])
         monitor.update(w, y)
-        done = monitor._stream
-        stream = Stream(done.observer, done.healthy, done.bank, done.windows, done.learned)
-        for k in range(20):
-            part = slice(k, k + 1)
-            stream.advance(
-                block.inputs[part], block.outputs[part], block.use[part], block.known[part], stop=True
-            )
+        watched = monitor._memory.watched
+        state, B = score.begin(watched), watched.block
+        for k in range(0, 24, B):
+            block = whole_block(w[k : k + B, None], y[k : k + B, None])
+            state, _ = score.advance(watched, state, block, True)
             # the mean of 200 squares and k more
-            assert abs(stream.memory["size"][0] - 1) < 4 * np.sqrt(2 / 200)
+            assert abs(state.level[0] - 1) < 4 * np.sqrt(2 / 200)
 
 
 @pytest.mark.slow
@@ -850,15 +843,8 @@ def test_a_monitor_of_a_table_goes_on_in_another_process(tmp_path):
     (tmp_path / "go_on.py").write_text(GO_ON)
     files = [str(tmp_path / name) for name in ("go_on.py", "monitor.npz", "new.npz")]
     found = subprocess.run([sys.executable, *files], capture_output=True, text=True, check=True)
-    content = content_of(monitor)
-    bank = content["stream"]["bank"]
-    content["stream"]["bank"] = replace(bank, values=np.where(bank.values == 0.0, 4096.0, bank.values))
-    write_file(tmp_path / "wrong.npz", content)
-    wrong = rco.Monitor.load(tmp_path / "wrong.npz")
-    for one in (monitor, wrong):
-        one.update(w, y)
+    monitor.update(w, y)
     assert found.stdout.strip() == repr(monitor.probability[:, -1].tolist())
-    assert np.isfinite(wrong.probability[:, -1]).all()
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
@@ -866,14 +852,14 @@ def test_a_fork_amid_an_update_gets_a_monitor_that_works(monkeypatch):
     """The child has the samples of before or after the update, as the parent, and can go on."""
     monitor, w, y = table_monitor()
     inside, count = threading.Event(), monitor.n_samples
-    take = watching.watch_block
+    take = watching.advance
 
     def slow(*args, **how):
         inside.set()
         time.sleep(0.1)
         return take(*args, **how)
 
-    monkeypatch.setattr(watching, "watch_block", slow)
+    monkeypatch.setattr(watching, "advance", slow)
     thread = threading.Thread(target=monitor.update, args=(w[:20], y[:20]))
     thread.start()
     inside.wait()

@@ -194,7 +194,7 @@ def test_a_monitor_names_the_resistance_that_grew():
     ]
     y = record.outputs + np.where(np.arange(4500) >= 3000, steps[1] - steps[0], 0.0)
     watched = [Effect("coefficient", place) for place in ("D[0,0]", "B[0,0]", "B[1,0]", "A[0,0]", "A[1,1]")]
-    monitor = rco.Monitor(battery(), watched, dt=0.5, learn=2000, patience=0.5)
+    monitor = rco.Monitor(battery(), watched, dt=0.5, learn=2000)
     monitor.update(record.inputs, y)
     assert monitor.alarm is not None
     assert monitor.alarm.effect.place == "D[0,0]"

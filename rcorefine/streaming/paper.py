@@ -292,8 +292,8 @@ def _unavailable(what: str) -> Any:
 
     def refuse(self: Any) -> None:
         raise RCOError(
-            f"{what} belong to the Kalman filter: build RCORefiner(model, dt=..., effects=[...]), without the "
-            "paper's settings (static_theta has the paper's coefficients)"
+            f"{what} belong to the Kalman filter: build RCORefiner(model, dt=..., effects=[...]) without "
+            "the paper's settings (static_theta has the paper's coefficients)"
         )
 
     return property(refuse)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..exceptions import DataError
 from ..results import with_error
 from ..streaming.history import CoefficientHistory, History
-from ..streaming.monitor.monitor import Monitor
+from ..streaming.monitor import Monitor
 from ..streaming.refiner import RCORefiner
 from ..systems.linear import Array, LinearModel
 from .bode import bode
@@ -31,27 +31,24 @@ _MOST = 4  # candidates whose probability is drawn
 @content.register
 def monitor_content(monitor: Monitor) -> Content:
     """Return the content of a monitor: the most probable candidates."""
-    n, name = monitor.n_samples, monitor._structure.linear_model.name
-    stream = monitor._stream
-    state = monitor.alarm
+    n, name = monitor.n_samples, monitor._base.structure.linear_model.name
+    memory, state = monitor._memory, monitor.alarm
     busy = "a threshold was crossed, the effect is not identified yet"
-    head = "ALARM" if state is not None else busy if monitor._watch.busy else "no alarm"
-    if stream is None:
+    head = "ALARM" if state is not None else busy if memory.change is not None else "no alarm"
+    if memory.watched is None:
         head = f"learning until sample {monitor.learn}"
     title = f"Monitor of {name!r}: {head}; {n} samples so far ({n * monitor.dt:.6g} s)"
     rows = []
     for row in monitor.ranking[:_SHOWN]:
         first = next(iter(row.coefficients))
-        unit = monitor._structure.model.unit(row.effect, first)
+        unit = monitor._base.structure.model.unit(row.effect, first)
         figure = with_error(row.coefficients[first], row.std[first], unit)
         rows.append([row.effect.label, figure, f"{row.probability:.3f}", number(row.log_likelihood, 3)])
     notes = [state.sentence] if state is not None else []
-    if monitor.adequacy is not None and monitor.adequacy.adequate:
-        notes.append(monitor.adequacy.sentence)
-    notes += list(monitor.remarks)
+    notes += [] if monitor.adequacy is None else [monitor.adequacy.sentence]
     notes += [f"Ended: {alarm.sentence}" for alarm in monitor.past_alarms[-2:]]
-    if stream is not None:
-        notes += _healthy_notes(monitor, stream.healthy)
+    if memory.watched is not None:
+        notes += _healthy_notes(monitor, memory.watched.healthy)
     notes.append(_false_alarms(monitor))
     return Content(
         tables=[TextTable(["candidate", "coefficient", "probability", "gain"], rows, title, notes)],
@@ -65,8 +62,8 @@ def _healthy_notes(monitor: Monitor, healthy: Any) -> list[str]:
     """Return the statistic and the noise, and what the columns mean."""
     ratio = float(monitor.statistic[-1]) if monitor.statistic.size else 0.0
     noise = f"AR({max(healthy.orders)})" if any(healthy.orders) else "white"
-    grows = healthy.noise[:, 1:].sum(axis=1) * healthy.power
-    noise += ", growing with the signal" if (grows > healthy.noise[:, 0]).any() else ""
+    grows = healthy.law[:, 1:].sum(axis=1) * healthy.power
+    noise += ", growing with the signal" if (grows > healthy.law[:, 0]).any() else ""
     force = f", unmeasured force about {100 * healthy.ratio:.2g} % of the input" if healthy.ratio else ""
     values = "fitted since the change" if monitor.alarm is not None else "linearized"
     return [
@@ -133,7 +130,7 @@ def _coefficient_name(monitor: Monitor, alarms: list[Any]) -> str:
         return "coefficient\n(no alarm)"
     last = alarms[-1]
     name = next(iter(last.coefficients))
-    unit = monitor._structure.model.unit(last.effect, name)
+    unit = monitor._base.structure.model.unit(last.effect, name)
     return f"{unit_text(name, unit)}\nat {last.effect.place}".replace("_", " ")
 
 

@@ -171,7 +171,7 @@ def test_blocks_of_a_stream_change_nothing(tally):
         made = {
             "refiner": lambda: rco.RCORefiner(case.model, dt=DT),
             "effects": lambda: rco.RCORefiner(case.model, dt=DT, effects=effects),
-            "monitor": lambda: rco.Monitor(case.model, effects, dt=DT, learn=300, patience=0),
+            "monitor": lambda: rco.Monitor(case.model, effects, dt=DT, learn=300),
         }[kind]
         whole, parts = made(), made()
         whole.update(case.w, case.y)
