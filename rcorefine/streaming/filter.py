@@ -342,7 +342,9 @@ class BlockFilter:
             color = self._noise(colored.left, colored.use, sizes, colored.unsure)
             new = new._replace(filters=color[0], scales=color[1])
             colored = self._pass(new, first, z0, L, [colored.point], colored.use)
-        if np.nansum((colored.left / sizes) ** 2) < _MISFIT * np.nansum((best.left / sizes) ** 2):
+        # a short record pays for the coefficients that white noise lets follow it
+        most = _MISFIT + 10.0 * (n + q) / max(best.use.sum(), 1)
+        if np.nansum((colored.left / sizes) ** 2) < most * np.nansum((best.left / sizes) ** 2):
             best, noise = colored, self._noise(colored.left, colored.use, sizes, colored.unsure)
         new = new._replace(filters=noise[0], scales=noise[1])
         z, root, v = z0 + L @ best.point, L @ best.root, best.left
