@@ -29,7 +29,7 @@ from .block import BlockFit, Stretch, fit_block
 from .samples import Block
 from .score import BLOCKS, FREE, State, WatchedModel, radius, recent, restarted, statistics, variances
 
-PATIENCE = 4  # periods that an alarm may wait for a clear name
+PATIENCE = 16  # quarters of a period that an alarm may wait for a clear name
 _SETTLE = 4  # periods in which the time of the change is estimated again
 _FOLLOW = 8  # periods in the fits after that
 _AGAIN = 4  # periods from one follow-up to the next
@@ -38,7 +38,7 @@ _SCREEN, _FIT = 4, 15  # simulations of a first fit, and of one that counts
 _STARTS = 2  # starting points of a law with a gap or a limit
 _UNKNOWN = 4  # coefficients that a change of unknown form would take
 _LEFT = 1e-3  # chance that the noise alone leaves more
-_KEPT = 1e-6  # probability with which a candidate is fitted again
+_KEPT = 14.0  # log-likelihood below the best candidate within which one is fitted again
 _SHOWN = 3  # parameters in a sentence
 
 
@@ -353,7 +353,7 @@ def ranked(rows: Iterable[MonitorRow], probabilities: Array) -> tuple[MonitorRow
     Of equal ones the first candidate leads.
     """
     shared = [replace(row, probability=float(p)) for row, p in zip(rows, probabilities, strict=True)]
-    return tuple(sorted(shared, key=lambda row: -round(row.probability, 6)))
+    return tuple(sorted(shared, key=lambda row: -round(row.log_likelihood, 3)))
 
 
 def history_row(watched: WatchedModel, state: State, change: Change | None) -> Array:
@@ -531,7 +531,7 @@ def name(watched: WatchedModel, state: State, change: Change) -> Change:
     known = {
         row.effect: np.array(list(row.coefficients.values()))
         for row in change.rows
-        if row.fitted and row.probability > _KEPT
+        if row.fitted and row.log_likelihood > change.rows[0].log_likelihood - _KEPT
     }
     age = state.blocks * watched.block - 1 - change.crossed
     settle = age <= _SETTLE * watched.period or not known
@@ -571,10 +571,12 @@ def _searched(watched: WatchedModel, state: State, change: Change, known: dict[E
 
 
 def _followed(watched: WatchedModel, state: State, change: Change, known: dict[Effect, Array]) -> Fits:
-    """Fit the candidates that were likely to the last periods."""
+    """Fit the likely candidates, and simple ones there, to the last periods."""
     fits = Fits(watched, state, True, dict(known))
     first = max(state.blocks * watched.block - _FOLLOW * watched.period, fits.oldest, change.since)
-    fits.known_start, fits.since = first == change.since, dict.fromkeys(known, first)
+    # while a change grows, laws of several coefficients take its name: the simple ones are asked again
+    simple = [e for e in _simple(watched) if e.place in {one.place for one in known}]
+    fits.known_start, fits.since = first == change.since, dict.fromkeys([*known, *simple], first)
     fits.screened()
     return fits
 
@@ -800,7 +802,8 @@ def _looked(watched: WatchedModel, state: State, change: Change) -> Change:
     if not change.rows:
         return change
     change = replace(change, place=clear_place(change.rows, change.misfit))
-    if change.alarm is None and not (change.place and change.place == place) and age < PATIENCE * T:
+    waits = age < PATIENCE * max(T // 4, 1)
+    if change.alarm is None and waits and not (change.place and change.place == place):
         return change
     change = replace(change, look=max(change.look, change.crossed + 1 + min(2 * age, age + 24 * T)))
     row, alike = simplest(change.rows)
