@@ -74,6 +74,7 @@ def run(way: str, noise: str, samples: int, seed: int) -> tuple[int, int, float]
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=int, default=20, help="records of each kind")
+    parser.add_argument("--first", type=int, default=0, help="seed of the first record")
     parser.add_argument("--file", type=Path, default=Path("coverage_streams.csv"), help="rows so far")
     parser.add_argument("--ways", nargs="*", default=["effects", "default"])
     options = parser.parse_args()
@@ -86,7 +87,7 @@ def main() -> None:
         for way in options.ways:
             for noise in NOISES:
                 for samples in LENGTHS:
-                    for seed in range(options.cases):
+                    for seed in range(options.first, options.first + options.cases):
                         if (way, noise, samples, seed) in done:
                             continue
                         with warnings.catch_warnings():
