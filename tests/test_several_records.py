@@ -56,7 +56,7 @@ def test_normal_equations_by_records_are_those_of_all_rows():
     columns = [np.array([0, 1 + 2 * i, 2 + 2 * i]) for i in range(4)]
     prior = rng.standard_normal((2, 9))
     residual = rng.standard_normal(sum(len(b) for b in blocks) + 2)
-    whole = Evaluation(residual, blocks, columns, prior, True)
+    whole = Evaluation(residual, blocks, columns, [None] * 4, prior, True)
     normal, slope = whole.normal()
     size = np.linalg.norm(whole.jacobian, axis=0)
     np.testing.assert_allclose(

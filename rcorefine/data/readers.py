@@ -602,7 +602,8 @@ class RecordReaders:
 
 def _may_be_blank(outputs: Any, options: Mapping[str, Any]) -> Sequence[str]:
     """Return the columns in which values may be missing."""
-    return names_of(outputs, "outputs") if options.get("missing") == "hold-out" else ()
+    missing = as_choice(options.get("missing", "raise"), "missing", ("raise", "hold-out"))
+    return names_of(outputs, "outputs") if missing == "hold-out" else ()
 
 
 def _in_seconds(stamps: Any, column: str, unit: str | None) -> tuple[Any, tuple[str, ...]]:

@@ -560,7 +560,8 @@ class Evaluation:
         residual = self.residual[rows]
         if gaps is not None:
             residual, block = np.where(gaps, np.nan, residual), np.where(gaps[:, None], np.nan, block)
-        return residual.reshape(n_outputs, -1), block.reshape(n_outputs, -1, block.shape[1])
+        residual = residual.reshape(n_outputs, -1)
+        return residual, block.reshape(*residual.shape, block.shape[1])
 
     def bordered(
         self, count: int, whitener: Whitener | None, turn: Callable[[Array], Array], kept: Any = ...

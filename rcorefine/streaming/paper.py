@@ -694,17 +694,17 @@ def _settings(given: Mapping[str, Any], beside: bool) -> Settings:
     """
     usual = _DEFAULTS | {"window": 100} if beside else _DEFAULTS
 
-    def of(name: str, *prefixes: str) -> Any:
-        found = (given.get(prefix + name) for prefix in prefixes)
-        return next((one for one in found if one is not None), usual[name])
+    def of(name: str, prefix: str) -> Any:
+        own = given.get(prefix + name) if prefix else None
+        return given.get(name, usual[name]) if own is None else own
 
     def counts(name: str, letter: str) -> tuple[int, int]:
-        first, second = (as_size(of(name, *p), p[0] + name, 1, letter) for p in (("",), ("static_", "")))
+        first, second = (as_size(of(name, p), p + name, 1, letter) for p in ("", "static_"))
         return first, second
 
     rates = [
-        as_number(of("learning_rate", *p), f"{p[0]}learning_rate (alpha)", above=0.0, error=ModelError)
-        for p in (("",), ("static_", ""))
+        as_number(of("learning_rate", p), f"{p}learning_rate (alpha)", above=0.0, error=ModelError)
+        for p in ("", "static_")
     ]
     window, average = counts("window", "p"), given.get("static_average")
     if average is None:
