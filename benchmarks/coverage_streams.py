@@ -101,7 +101,7 @@ def main() -> None:
                         r for r in rows if (r["way"], r["noise"], int(r["samples"])) == (way, noise, samples)
                     ]
                     inside, values = (sum(int(r[name]) for r in mine) for name in ("inside", "values"))
-                    ratio = np.median([float(r["ratio"]) for r in mine])
+                    ratio = np.nanmedian([float(r["ratio"]) for r in mine])
                     print(
                         f"{way:8s} {noise:9s} {samples:5d} samples: {inside:4d} of {values:4d} values"
                         f" within two ({100 * inside / values:5.1f} %), error over deviation {ratio:.2f}",
