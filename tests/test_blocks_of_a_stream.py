@@ -1,10 +1,12 @@
 """A record in blocks: what the engine carries over their borders."""
 
+import control as ct
 import numpy as np
 import pytest
 
 import rcorefine as rco
 from rcorefine import Effect
+from rcorefine.data.measurement import block_of_stream
 from rcorefine.engine.engine import Engine
 from rcorefine.engine.observer import observer_gain
 from rcorefine.engine.structure import Structure
@@ -78,3 +80,16 @@ def test_a_delay_knows_the_inputs_before_a_block():
     assert Engine(s, block, past=w[:, :3]).judged(theta).all()
     assert not Engine(s, block, past=w[:, :1]).judged(theta)[:, :2].any()
     assert not Engine(s, block).judged(theta)[:, :3].any()
+
+
+def test_a_block_may_have_fewer_samples_than_signals():
+    """As a record it would be refused as transposed; a monitor of three outputs stopped there."""
+    plant = rco.mass_spring_damper([1.0, 1.0, 1.0], [0.5] * 3, [100.0, 90.0, 80.0])
+    s = Structure(plant, [Effect("stiffness", "link1")])
+    w = np.random.default_rng(1).standard_normal((s.n_inputs, 2))
+    block = block_of_stream(w, np.zeros((3, 2)), DT, "zoh")
+    found = Engine(s, block).run(np.array([5.0])).outputs
+    longer = rco.Measurement(np.pad(w, ((0, 0), (0, 8))), np.zeros((3, 10)), dt=DT)
+    assert found == pytest.approx(Engine(s, longer).run(np.array([5.0])).outputs[:, :2], rel=1e-12)
+    with pytest.raises(ct.ControlDimension, match="transposed"):
+        rco.Measurement(w, np.zeros((3, 2)), dt=DT)

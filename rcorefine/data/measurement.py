@@ -766,6 +766,22 @@ class Measurement(Result, RecordReaders, TimeRecord):
         )
 
 
+def block_of_stream(inputs: Array, outputs: Array, dt: float, hold: str) -> Measurement:
+    """Return samples that were checked as they came in, however few.
+
+    A record of fewer samples than signals would be refused as transposed.
+    """
+    (n_w, n_samples), n_y, made = inputs.shape, len(outputs), object.__new__(Measurement)
+    labels = default_labels("u", n_w), default_labels("y", n_y)
+    values = (
+        inputs, outputs, dt, dt * np.arange(n_samples), hold, *labels, ("",) * n_w, ("",) * n_y, "measured",
+        (), np.zeros(n_w + n_y), 0.0, "raise",
+    )  # fmt: skip
+    for field, value in zip(_FIELDS, values, strict=True):
+        object.__setattr__(made, field, value)
+    return made
+
+
 def released(outputs: Array) -> int:
     """Return the sample at which a free decay begins.
 

@@ -13,7 +13,7 @@ import control as ct
 import numpy as np
 
 from ..arguments import as_noise, as_number, as_text
-from ..data.measurement import Measurement
+from ..data.measurement import Measurement, block_of_stream
 from ..effects.bodies import Entry
 from ..effects.channels import OutputOffset
 from ..effects.effect import Effect, as_effects
@@ -378,7 +378,7 @@ def _bridged(first: Block, settings: FilterSettings) -> Measurement:
     for i in range(outputs.shape[1]):
         there = first.use[:, i] > 0
         outputs[:, i] = np.interp(grid, grid[there], outputs[there, i]) if there.any() else 0.0
-    return Measurement(first.inputs.T, outputs.T, dt=settings.dt, hold=settings.hold)
+    return block_of_stream(first.inputs.T, outputs.T, settings.dt, settings.hold)
 
 
 # -- entries ---------------------------------------------------------------------------------------

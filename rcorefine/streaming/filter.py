@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..data.measurement import Measurement
+from ..data.measurement import block_of_stream
 from ..engine.engine import Engine
 from ..engine.observer import leading_gain
 from ..engine.structure import Structure
@@ -410,7 +410,7 @@ class BlockFilter:
         """
         n, family = self.n, self.family
         structure, settings = family.structure(state.widths), self.settings
-        data = Measurement(block.inputs.T, block.outputs.T, dt=settings.dt, hold=settings.hold)
+        data = block_of_stream(block.inputs.T, block.outputs.T, settings.dt, settings.hold)
         engine = Engine(structure, data, substeps=family.substeps, past=state.before.T)
         gain, use = None, None
         if state.gain.any():
@@ -504,7 +504,7 @@ class BlockFilter:
         """Observer gain where the model has no free run."""
         physical, settings = self.family.physical, self.settings
         bare = Structure(physical)
-        data = Measurement(first.inputs.T, first.outputs.T, dt=settings.dt, hold=settings.hold)
+        data = block_of_stream(first.inputs.T, first.outputs.T, settings.dt, settings.hold)
         found = leading_gain(bare, data)
         if found is None or not np.isfinite(found).all():
             return np.zeros((self.n, self.ny))

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from ..comparison.signals import fit_percent
-from ..data.measurement import Measurement
+from ..data.measurement import block_of_stream
 from ..diagnosis.hypothesis import unphysical
 from ..effects.effect import Effect, hold_coefficients
 from ..engine.engine import Engine
@@ -723,7 +723,7 @@ def _explained(watched: WatchedModel, block: Block) -> tuple[tuple[float, ...], 
     First that of the model as given, then that with its parameters moved.
     """
     numbers, h, use = watched.numbers, watched.healthy, block.use > 0
-    data = Measurement(block.inputs.T, block.outputs.T, dt=watched.base.dt, hold=watched.base.hold)
+    data = block_of_stream(block.inputs.T, block.outputs.T, watched.base.dt, watched.base.hold)
     given = numbers.theta.copy()
     given[numbers.offsets] = h.theta[numbers.offsets]
     found = []

@@ -19,7 +19,7 @@ from scipy.optimize import brentq, nnls
 from scipy.signal import lfilter
 from scipy.stats import norm
 
-from ..data.measurement import Measurement
+from ..data.measurement import Measurement, block_of_stream
 from ..effects.channels import OutputOffset
 from ..effects.compiled import raise_pending
 from ..effects.effect import Effect
@@ -408,7 +408,7 @@ class WatchedModel:
     def stretch(self, block: Block, x0: Array, scale: Array, *, known_start: bool) -> Stretch:
         """Samples as `fit_block` takes them."""
         b, h, use = self.base, self.healthy, block.use > 0
-        data = Measurement(block.inputs.T, block.outputs.T, dt=b.dt, hold=b.hold)
+        data = block_of_stream(block.inputs.T, block.outputs.T, b.dt, b.hold)
         whitener = Whitener(tuple(a[: q + 1] for a, q in zip(h.filters, h.orders, strict=True)), h.scales)
         whiten = Whitening(whitener, use.T, scale.T)
         return Stretch(data, use, whiten, x0, known_start, h.gain, self.substeps)
@@ -541,7 +541,7 @@ def _whole(base: Base, block: Block, use: NDArray[np.bool_]) -> Measurement:
     """Samples with the mean where none counts."""
     mean = np.sum(np.where(use, block.outputs, 0.0), axis=0) / use.sum(axis=0)
     y = np.where(use, block.outputs, mean)
-    return Measurement(block.inputs.T, y.T, dt=base.dt, hold=base.hold)
+    return block_of_stream(block.inputs.T, y.T, base.dt, base.hold)
 
 
 def radius(base: Base, numbers: Numbers, theta: Array, gain: Array) -> float:
