@@ -34,6 +34,7 @@ from ..inference.sensitivities import candidate_columns
 from ..inference.starts import Motion, estimated_motion
 from ..models.conversion import as_physical
 from ..models.library import effect_library
+from ..models.links import OPEN
 from ..models.operating_point import ordered_record, refuse_point
 from ..models.physical_model import PhysicalModel
 from ..systems.linear import Array, LinearModel
@@ -334,7 +335,11 @@ def localize_damage(
         ranking = () if scenarios is None else rank_hypotheses(setting, scenarios)
         # does anything remain in the residual?
         tests = residual_tests(joint)
-        note = " ".join(filter(None, [sensor_note, note]))
+        # named springs that stand for others, whose directions the matrices leave open
+        said = {port.name: port.description for port in joint.structure.model.ports}
+        places = [place for i in decision.named if OPEN in said.get(place := rows[i].place, "")]
+        open_note = f"The springs at {', '.join(places)} {OPEN}." if places else ""
+        note = " ".join(filter(None, [sensor_note, open_note, note]))
         result = assessed(joint, rows, decision, tests, rule, significance, power, ranking, note)
     for group in result.groups:
         warn(f"the record cannot distinguish these changes: {', '.join(group)}", IdentifiabilityWarning)

@@ -23,6 +23,9 @@ _UNEXPLAINED = 0.01  # share of a damping coupling that links of springs must le
 Groups = list[list[int]]
 Found = tuple[list[Array], Groups]  # directions of links, and bodies that stay open
 
+#: What is said of places whose links stay open.
+OPEN = "are links in more than one way: declare them by physical(system, links=...)"
+
 
 def find_links(found: Incidence) -> tuple[list[Element], dict[int, str]]:
     """Find the links in the stiffness and damping matrices.
@@ -45,8 +48,7 @@ def find_links(found: Incidence) -> tuple[list[Element], dict[int, str]]:
     tells = bool(np.linalg.norm(product - product.T) > _ROUNDING * np.linalg.norm(product))
     directions, open_ = _directions(K, C, alike, list(given.values()), tells)
     springs, dampers = strengths(K, directions, open_), strengths(C, directions, open_)
-    words = "the couplings of {} to each other and to the ground are links in more than one way: "
-    words += "declare them by physical(system, links=...)"
+    words = "the couplings of {} to each other and to the ground " + OPEN
     said = {tuple(body): [words.format(", ".join(labels[j] for j in body))] for body in open_}
     links = []
     for g, k, c in zip(directions, springs, dampers, strict=True):
