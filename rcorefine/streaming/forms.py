@@ -24,7 +24,7 @@ from .families import MILESTONES, Family
 from .filter import BlockCourse, BlockFilter, FilterState
 from .history import PARAMETERS, CoefficientHistory, Summary, joined, pole_samples, poles_of, rates
 from .paper import PaperStages
-from .persistence import storable
+from .persistence import check_course, check_like, check_range, storable
 from .samples import Block, Complex
 
 INITIAL = "initial"
@@ -93,6 +93,11 @@ class FormsState:
 
 
 storable(Frozen, FormsState)
+#: Arrays of a file that may have other rows than fresh ones.
+_ROWS = {
+    **dict.fromkeys(("inputs", "outputs", "known", "use"), "samples"),
+    **{name: name for name in ("before", "left", "widths")},
+}
 
 
 class Forms:
@@ -227,7 +232,12 @@ class Forms:
         if not self._competing:
             return state
         state = replace(state, stretch=Block.joined([state.stretch, block]))
-        return self._judge(state) if n in MILESTONES or n % _LONGEST == 0 else state
+        # samples since a form began anew: what was frozen before says nothing of it
+        age = n - max((filters[name].begun for name in self._running(state) if name != INITIAL), default=0)
+        if not age:
+            nothing = block.part(0, 0)
+            return replace(state, frozen=(), stretch=nothing, scores={}, behind={}, chosen=(INITIAL, False))
+        return self._judge(state) if age in MILESTONES or age % _LONGEST == 0 else state
 
     def _running(self, state: FormsState) -> list[str]:
         return [name for name in self.filters if name not in state.stopped]
@@ -404,7 +414,11 @@ class Forms:
         one, state, records = self.filters[form], self.state_.filters[form], list(self.records[form])
         if waiting := [block for block in self._waiting if len(block.inputs)]:
             block = Block.joined(waiting)
-            records.append((one.unlearned(state, block), np.where(block.use, block.outputs, np.nan)))
+            course = one.unlearned(state, block)
+            if state.rounds:  # predicted from the last block on, not learned from
+                ahead = one.predict(state, block.part(0, 0), block.inputs)
+                course = course._replace(predicted=np.where(block.use, ahead, np.nan))
+            records.append((course, np.where(block.use, block.outputs, np.nan)))
         y = joined([y for _, y in records], (self.model.n_outputs,))
         total, first = y.shape[1], self._stage_one()
         stage = None if first is None else first.history()
@@ -476,11 +490,36 @@ class Forms:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from what `state` gave."""
         forms, count = state["forms"], state["count"]
+        self._check(forms)
+        check_range(count, 0, len(forms.waiting.inputs), "samples that wait")
+        for name, one in self.filters.items():
+            p = len(one.begin().centre)
+            rows = BlockCourse(*(np.zeros((0, size)) for size in (p, one.n, one.ny)))
+            check_course(state["records"][name], rows, one.ny)
         self.records = state["records"]
         self.state_ = replace(forms, waiting=forms.waiting.part(0, 0))
         self._waiting, self._ahead, self._count = [forms.waiting.part(0, count)], [], count
         if self.first is not None:
             self.first.restore(state["first"])
+
+    def _check(self, found: FormsState) -> None:
+        """Hold what a file held against a fresh state: kernels trust shapes."""
+        fresh, like = self.state_, self._discrete(self.model)
+        check_like(found.stretch, fresh.stretch, "stretch", _ROWS)
+        check_like(found.waiting, fresh.stretch, "waiting", _ROWS)
+        check_like((found.length, found.n_learned), (0, 0), "counts")
+        for frozen in found.frozen:
+            m = frozen.model
+            check_like((m.A, m.B, m.C, m.D), (like.A, like.B, like.C, like.D), f"model of {frozen.name}")
+        for name, one in self.filters.items():
+            now, own, unknown = found.filters[name], one.begin(), np.full((1, one.ny), np.nan)
+            sizes = [np.shape(part)[-1] if np.ndim(part) == 2 else 0 for part in (now.L, now.filters)]
+            inner = one.family.structure(np.zeros(0)).n_ports + one.ny
+            own = own._replace(
+                L=np.zeros((len(own.z), sizes[0])), filters=np.ones((one.ny, sizes[1])), left=unknown,
+                inner=np.zeros(inner if np.size(now.inner) else 0), widths=unknown[0],
+            )  # fmt: skip
+            check_like(now, own, f"filter of {name}", _ROWS)
 
 
 def free_run_cost(model: LinearModel, stretch: Block, weights: Array, window: int) -> float:
