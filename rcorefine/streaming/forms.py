@@ -229,11 +229,14 @@ class Forms:
                 records[name].append((course, outputs))
         n = state.n_learned + len(block.inputs)
         state = replace(state, filters=filters, stopped=stopped, n_learned=n)
-        if not self._competing:
-            return state
+        return self._follow(state, block) if self._competing else state
+
+    def _follow(self, state: FormsState, block: Block) -> FormsState:
+        """Go on with the comparison by a block that was learned."""
         state = replace(state, stretch=Block.joined([state.stretch, block]))
         # samples since a form began anew: what was frozen before says nothing of it
-        age = n - max((filters[name].begun for name in self._running(state) if name != INITIAL), default=0)
+        begun = [state.filters[name].begun for name in self._running(state) if name != INITIAL]
+        age = state.n_learned - max(begun, default=0)
         if not age:
             nothing = block.part(0, 0)
             return replace(state, frozen=(), stretch=nothing, scores={}, behind={}, chosen=(INITIAL, False))
