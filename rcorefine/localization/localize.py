@@ -150,6 +150,19 @@ def _message(
     return " ".join(part for part in parts if part)
 
 
+def _open_note(joint: Joint, candidates: Sequence[DamageCandidate], decision: Decision) -> str:
+    """Say which named springs stand for others.
+
+    These are springs whose directions the matrices leave open.
+    """
+    said = {port.name: port.description for port in joint.structure.model.ports}
+    places = [candidates[i].place for i in decision.named]
+    still = [place for place in places if OPEN in said.get(place, "")]
+    if not still:
+        return ""
+    return f"The springs at {', '.join(still)} {OPEN}."
+
+
 def _nuisance_rows(joint: Joint, candidates: Sequence[DamageCandidate]) -> tuple[NuisanceRow, ...]:
     structure = joint.structure
     taken = [c.column for c in candidates]
@@ -335,11 +348,7 @@ def localize_damage(
         ranking = () if scenarios is None else rank_hypotheses(setting, scenarios)
         # does anything remain in the residual?
         tests = residual_tests(joint)
-        # named springs that stand for others, whose directions the matrices leave open
-        said = {port.name: port.description for port in joint.structure.model.ports}
-        places = [place for i in decision.named if OPEN in said.get(place := rows[i].place, "")]
-        open_note = f"The springs at {', '.join(places)} {OPEN}." if places else ""
-        note = " ".join(filter(None, [sensor_note, open_note, note]))
+        note = " ".join(filter(None, [sensor_note, _open_note(joint, rows, decision), note]))
         result = assessed(joint, rows, decision, tests, rule, significance, power, ranking, note)
     for group in result.groups:
         warn(f"the record cannot distinguish these changes: {', '.join(group)}", IdentifiabilityWarning)
