@@ -44,10 +44,10 @@ OUTER = {
 #: Tokens of code (no docstring, comment, line end) of each top-level folder, and of the files beside them.
 #: A commit may lower a figure; one that raises it says in its message what went out in exchange.
 BUDGET = {
-    ".": 8148, "arguments": 2154, "commands": 8142, "comparison": 28302, "data": 26143,
+    ".": 8148, "arguments": 2154, "commands": 8142, "comparison": 28302, "data": 26220,
     "diagnosis": 74091, "effects": 30851, "engine": 50565, "examples": 2218, "exercises": 4771,
     "explorer": 9112, "export": 5906, "fleet": 9881, "inference": 34458, "localization": 11828,
-    "models": 42870, "refinement": 4354, "streaming": 55436, "systems": 5887, "views": 39625,
+    "models": 42870, "refinement": 4354, "streaming": 55439, "systems": 5887, "views": 39625,
 }  # fmt: skip
 #: Functions of a radon complexity above 15, functions that take more than 8 parameters (private ones and
 #: kernels), private functions of fewer than 6 lines of code that one place calls: not more than there are.

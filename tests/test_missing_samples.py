@@ -306,3 +306,15 @@ def test_two_standard_deviations_cover_the_truth(kind, color):
     rows = [refined(record(kind, seed=seed, color=color)).parameters[0] for seed in range(100, 140)]
     inside = sum(abs(row.value - FOUND) < 2 * row.std for row in rows)
     assert inside >= binom.ppf(0.005, 40, 0.954)
+
+
+@pytest.mark.parametrize(
+    "verb", [rco.compare, rco.refine, rco.check, rco.diagnose, rco.localize_damage, rco.improve]
+)
+def test_an_output_without_any_sample_is_refused_at_the_door(verb):
+    plant = rco.mass_spring_damper([1.0, 1.0], [0.5, 0.4], [80.0, 60.0])
+    outputs = np.ones((2, 600))
+    outputs[1] = np.nan
+    data = rco.Measurement(np.ones((1, 600)), outputs, dt=0.02, missing="hold-out")
+    with pytest.raises(rco.DataError, match=r"'y\[1\]' of record 'measured' has none of its 600 samples"):
+        verb(plant, data)

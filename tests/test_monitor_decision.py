@@ -94,7 +94,7 @@ def watched(
         last = (state.blocks + 1) * BLOCK - 1
         return state._replace(blocks=state.blocks + 1), 2.0 if last in crossings else 0.5
 
-    def rung(of: Any, state: State) -> Change:
+    def begin_change(of: Any, state: State) -> Change:
         n = state.blocks * BLOCK
         return Change(n - 1, 9.0, 6.0, n + naming.next_look(0, PERIOD, 10**6), n + 4 * PERIOD, n - 1)
 
@@ -128,7 +128,12 @@ def watched(
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(monitor, "learn", lambda *_: fake)
         patched.setattr(monitor, "begin", lambda of: State(0, *[np.ones(1)] * 5))
-        for module, what in ((monitor, advance), (monitor, rung), (naming, name), (naming, restarted)):
+        for module, what in (
+            (monitor, advance),
+            (monitor, begin_change),
+            (naming, name),
+            (naming, restarted),
+        ):
             patched.setattr(module, what.__name__, what)
         patched.setattr(monitor, "found_anew", lambda of, state: state)
         patched.setattr(monitor, "adequacy_of", lambda *_: None)

@@ -35,13 +35,27 @@ def as_record(data: Any) -> Measurement:
     ------
     control.ControlArgument
         If it is something else.
+    DataError
+        If an output has no sample.
     """
     if not isinstance(data, Measurement):
         raise ct.ControlArgument(
             f"data must be a Measurement, one record in time, not {shown(data)}; build one with "
             "Measurement(inputs, outputs, dt=...) or Measurement.from_response(...)"
         )
-    return data
+    return _measured(data)
+
+
+def _measured(record: Measurement) -> Measurement:
+    """Refuse a record with an output that has no sample at all."""
+    there = record.there
+    if there is not None and not there.any(axis=1).all():
+        label = record.output_labels[int(np.argmin(there.any(axis=1)))]
+        raise DataError(
+            f"output {label!r} of record {record.name!r} has none of its {record.n_samples} samples; leave "
+            "the output out of the record, or give a stretch in which it was measured"
+        )
+    return record
 
 
 def as_records(data: Any, name: str = "data") -> list[Measurement]:
@@ -52,7 +66,7 @@ def as_records(data: Any, name: str = "data") -> list[Measurement]:
     control.ControlArgument
         If it is something else.
     DataError
-        If the list is empty.
+        If the list is empty, or an output has no sample.
     """
     if isinstance(_first(data), ct.FrequencyResponseData):
         raise ct.ControlArgument(
@@ -67,7 +81,7 @@ def as_records(data: Any, name: str = "data") -> list[Measurement]:
             )
     if not records:
         raise DataError(f"{name} is an empty list; give at least one Measurement")
-    return records
+    return [*map(_measured, records)]
 
 
 def _first(data: Any) -> Any:

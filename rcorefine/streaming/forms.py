@@ -412,7 +412,7 @@ class Forms:
         )
 
     def history(self) -> CoefficientHistory:
-        """BlockCourse of both stages; samples that wait go on as the last block."""
+        """Course of both stages; samples that wait are the last block."""
         form = self.form
         one, state, records = self.filters[form], self.state_.filters[form], list(self.records[form])
         if waiting := [block for block in self._waiting if len(block.inputs)]:

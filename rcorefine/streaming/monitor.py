@@ -30,7 +30,17 @@ from ..systems.discretization import check_sampling_time
 from ..systems.linear import Array
 from ..writing import damaged
 from .locks import Locked
-from .naming import Adequacy, Alarm, Change, MonitorRow, adequacy_of, attend, history_row, linear_rows, rung
+from .naming import (
+    Adequacy,
+    Alarm,
+    Change,
+    MonitorRow,
+    adequacy_of,
+    attend,
+    begin_change,
+    history_row,
+    linear_rows,
+)
 from .persistence import check_like, check_range, check_schema, read_file, storable, write_file
 from .samples import Block, as_missing, as_size, checked_block
 from .score import (
@@ -294,7 +304,7 @@ class Monitor(Locked, Result):
             else:
                 state = found_anew(watched, state)
                 if ratio > 1.0 and n > self.learn:
-                    change = rung(watched, state)
+                    change = begin_change(watched, state)
             if phase is not None and n + B > self.learn:
                 adequacy, phase = adequacy_of(watched, state, phase), None
             if n % self._course.stride == 0:

@@ -739,7 +739,7 @@ def _explained(watched: WatchedModel, block: Block) -> tuple[tuple[float, ...], 
 
 
 # ------------------------------------------------------------------------ course of a change
-def rung(watched: WatchedModel, state: State) -> Change:
+def begin_change(watched: WatchedModel, state: State) -> Change:
     """A change whose threshold was crossed with the last block."""
     n = state.blocks * watched.block
     square = statistics(watched, state)
