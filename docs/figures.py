@@ -252,7 +252,7 @@ def race():
     }
     ends = (64, 128, 256, 512, 1024, 2048, 4096, 8192)
     fig, axes = plt.subplots(1, 2, figsize=(9, 3.3), sharey=True, layout="constrained")
-    colors = {"nonzero": REFINED, "discrete": OTHER, "input": PAPER, "initial": INITIAL}
+    colors = {"nonzero": REFINED, "discrete": OTHER, "initial": INITIAL}
     for ax, (title, plant) in zip(axes, plants.items(), strict=True):
         data = record(plant, dt, steps(10000, 3), 3)
         refiner, scores = rco.RCORefiner(start, dt=dt), []
@@ -261,8 +261,7 @@ def race():
             refiner.update(data.inputs[:, part], data.outputs[:, part])
             scores.append(refiner.scores)
         for form, color in colors.items():
-            line = "o:" if form == "input" else "o-"
-            ax.semilogx(ends, [s.get(form, np.nan) for s in scores], line, color=color, label=form)
+            ax.semilogx(ends, [s.get(form, np.nan) for s in scores], "o-", color=color, label=form)
         ax.set(title=title, xlabel="samples", xticks=ends, xticklabels=ends, ylim=(-25, 105))
         ax.minorticks_off()
         unseen = data.segment(8192 * dt)
